@@ -10,6 +10,7 @@ from can.interfaces import BACKENDS
 
 from canhaptic.cli.check_eds import survey_of, warnings_of
 from canhaptic.cli.options import check_place
+from canhaptic.drive.survey import Survey
 from canhaptic.errors import InputError
 from canhaptic.registry import nearest
 from canhaptic.scene.first_contact import FELT, can_be_tried, rendered_share
@@ -37,6 +38,8 @@ def execute(arguments: argparse.Namespace) -> int:
     out = arguments.out
     if out is not None:
         check_place(out, arguments.force)
+    if arguments.file.name.lower().removesuffix(".gz").endswith((".xml", ".bin")):
+        return _of_line(arguments)
     if arguments.interface is not None and arguments.interface not in BACKENDS:
         known = f"expected one of: {', '.join(sorted(BACKENDS))}{nearest(arguments.interface, BACKENDS)}"
         raise InputError(f"--interface: got {arguments.interface!r}, {known}")
@@ -46,12 +49,17 @@ def execute(arguments: argparse.Namespace) -> int:
     text = starter_scene(
         found, simulate=arguments.simulate, drive=profile, out=out, interface=arguments.interface or "socketcan"
     )
+    return _written(text, found, out)
+
+
+def _written(text: str, found: Survey, out: Path | None) -> int:
+    """Write a scene, and say what keeps its wall from being felt; return 0."""
     if out is None:
         write_line(text.removesuffix("\n"))
     else:
         write_file(out, text)
         note_file("scene", out)
-    if warning := _unmeasured(text, str(found.axis.eds if out is None else out)):
+    if warning := _unmeasured(text, str(found.axis.dictionary_path if out is None else out)):
         write_note(f"  warning: {warning}")
     return 0
 
@@ -69,6 +77,18 @@ def _write_key(path: Path) -> None:
     with open(descriptor, "wb") as file:
         file.write(secrets.token_bytes(32))
     note_file("key", path)
+
+
+def _of_line(arguments: argparse.Namespace) -> int:
+    """Write the scene of a drive on an EtherCAT line."""
+    from canhaptic.drive.ethercat.esi_survey import surveyed
+
+    if arguments.display is not None:
+        text = "--display: got one for an ESI, expected none: configs/admittance has displays whose bus and axis lines"
+        raise InputError(f"{text} may be those of configs/ethercat.yaml")
+    found, out = surveyed(arguments.file), arguments.out
+    interface = arguments.interface or "eth1"
+    return _written(starter_scene(found, simulate=arguments.simulate, out=out, interface=interface), found, out)
 
 
 def _unmeasured(text: str, place: str) -> str:

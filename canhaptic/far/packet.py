@@ -4,7 +4,8 @@
     position:f64 velocity:f32 seen:u32 stiffness:f32 damping:f32 tag:16                        (little-endian)
 
 Energies are totals of the session in whole picojoules. The flags hold the role, which is under the tag: a packet that
-comes back to its sender is of its own role and is dropped. `seen` is the largest `seq` of the other side.
+comes back to its sender is of its own role and is dropped. `seen` is the largest `seq` of the other side,
+and `wall` where the sender has found one, if a flag says on which side of it the sender is.
 
 The tag is keyed BLAKE2s. A session has a key of its own, made of the shared key and of fresh random numbers of both.
 """
@@ -22,8 +23,9 @@ _VERSION: Final = 1
 _BODY: Final = struct.Struct("<2sBBIQqqqdfIff")
 _TAG: Final = 16
 _MOST: Final = (1 << 63) - 1
-ROLE, HELLO, READY, STOPPING = 1, 2, 4, 8
-"""Bits of the flags: role of the sender, packet of the handshake, sender has earned its start, sender stops."""
+ROLE, HELLO, READY, STOPPING, BELOW, ABOVE = 1, 2, 4, 8, 16, 32
+"""Bits of the flags: role of the sender, packet of the handshake, sender has earned its start, sender stops, it has found
+a wall and is below it, or above it."""
 
 
 class Packet(NamedTuple):
@@ -38,8 +40,8 @@ class Packet(NamedTuple):
     position: float  # [m or rad]
     velocity: float  # [m/s or rad/s]
     seen: int
-    stiffness: float = 0.0  # [N/m or N*m/rad]
-    damping: float = 0.0  # [N*s/m or N*m*s/rad]
+    wall: float = 0.0  # [m or rad]
+    free: float = 0.0  # not used
 
 
 def pack(packet: tuple[float, ...], key: bytes) -> bytes:

@@ -164,8 +164,8 @@ def starter_scene(
     """
     if found.suitability is Suitability.UNFIT:
         reasons = "; ".join(f"{row.item}: {row.text}" for row in found.reasons)
-        raise DictionaryError(f"{found.axis.eds} is not fit for {found.axis.causality.kind}: {reasons}")
-    adapter = ADAPTERS.get(interface)
+        raise DictionaryError(f"{found.axis.dictionary_path} is not fit for {found.axis.causality.kind}: {reasons}")
+    adapter, is_line = ADAPTERS.get(interface), hasattr(found.axis, "esi")
     dictionary, rate = found.dictionary, _rate(found, adapter)
     jitter = max(_LATE["sync_jitter"], adapter.jitter * rate if adapter else 0.0)
     quirks = () if drive is None else tuple(profile_values(drive).get("quirks", ()))
@@ -175,16 +175,13 @@ def starter_scene(
     text = _text(
         "scene",
         title=_plain(f"{found.vendor} {found.product}".strip() or "A CiA 402 drive"),
-        eds=_plain(str(found.axis.eds)),
-        eds_quoted=_EDS_TOKEN,
+        eds=_plain(str(found.axis.dictionary_path)),
         scene=_plain(str(out or "rig.yaml")),
         hint="      needs no hardware: drive, motor and hand are simulated" if simulate else "",
-        bus=_text("virtual") if simulate else _text("interface", interface=interface, channel=_channel(interface)),
-        window="" if adapter is None else _text("window", window=WINDOW, round_trip=1e3 * adapter.round_trip),
-        bitrate=found.bitrate,
-        bitrate_note="" if found.bitrates else _text("bitrate_unlisted"),
-        rate=f"{rate:g}",
-        rate_note="" if rate >= _FASTEST else _text("rate_of_bus" if adapter is None else "rate_of_adapter"),
+        bus=_line(rate, None if simulate else interface)
+        if is_line
+        else _bus(found, rate, adapter, interface, simulate),
+        place=_text("at_position" if is_line else "at_node", eds_quoted=_EDS_TOKEN),
         identity=_identity(found, drive),
         rated=_rated_lines(dictionary, rated if stated else None),
         limit=f"{limit:g}",
@@ -192,13 +189,35 @@ def starter_scene(
         read_back=_read_back(found)
         if found.axis.admittance is None
         else _display(found, found.axis.admittance, limit, has_mean=simulate),
-        watchdog="" if standard_watchdog(dictionary, found.axis_map)[0] != "none" else _text("no_watchdog"),
+        watchdog="" if is_line or standard_watchdog(dictionary, found.axis_map)[0] != "none" else _text("no_watchdog"),
         rendered=_rendered(found, limit, 1.0 / rate, None if simulate else jitter),
         simulation=_simulation(found, rated, limit, resolution, 1.0 / rate) if simulate else "",
         **_count_values(dictionary),
     )
     aligned = _TRAILING_COMMENT.sub(lambda line: f"{line.group(1):<{_COMMENT_COLUMN - 2}}  # ", text)
-    return aligned.replace(_EDS_TOKEN, json.dumps(_path_for_scene(found.axis.eds, out), ensure_ascii=False))
+    path = _path_for_scene(found.axis.dictionary_path, out)
+    return aligned.replace(_EDS_TOKEN, json.dumps(path, ensure_ascii=False))
+
+
+def _bus(found: Survey, rate: float, adapter: Adapter | None, interface: str, simulate: bool) -> str:
+    """Return the keys of a CAN bus."""
+    return _text(
+        "of_can",
+        interface=_text("virtual")
+        if simulate
+        else _text("interface", interface=interface, channel=_channel(interface)),
+        window="" if adapter is None else _text("window", window=WINDOW, round_trip=1e3 * adapter.round_trip),
+        bitrate=found.bitrate,
+        bitrate_note="" if found.bitrates else _text("bitrate_unlisted"),
+        rate=f"{rate:g}",
+        rate_note="" if rate >= _FASTEST else _text("rate_of_bus" if adapter is None else "rate_of_adapter"),
+    )
+
+
+def _line(rate: float, interface: str | None) -> str:
+    """Return the keys of an EtherCAT line; interface None: simulated."""
+    shown = "virtual        # everything inside this process" if interface is None else f"{interface} # {TO_SET}"
+    return _text("of_line", interface=shown, rate=f"{rate:g}")
 
 
 def _path_for_scene(dictionary: Path, scene: Path | None) -> str:

@@ -189,6 +189,20 @@ def test_a_bus_log_of_a_line_and_a_can_bus_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_new_writes_a_scene_of_the_drive_of_an_esi_that_runs_simulated_and_is_marked_on_an_interface(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place, esi = tmp_path / "rig.yaml", str(ROOT / "eds/ethercat_servo.xml")
+    assert main(["new", esi, "--simulate", "--out", str(place)]) == 0
+    account, error = build(load_scene(place)).run_through(50)
+    assert error is None
+    assert account["cycles"] == 50
+    assert main(["new", esi, "--interface", "eth7"]) == 0
+    assert "interface: eth7             # TO SET" in capsys.readouterr().out
+    assert main(["new", esi, "--display", "velocity"]) == 2
+    assert "--display: got one for an ESI" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_a_rig_on_a_line_is_commissioned_as_on_can_and_its_hold_is_confirmed_at_the_next_start(tmp_path: Path) -> None:
     done = tmp_path / "done.yaml"

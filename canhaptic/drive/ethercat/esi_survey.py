@@ -6,14 +6,15 @@ further objects only the drive itself can tell.
 
 from enum import Enum
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.esi import EsiDictionary
+from canhaptic.canopen.esi import EsiDictionary, read_esi
 from canhaptic.canopen.sii import is_sii
 from canhaptic.drive.ethercat.image_map import choose_image, image_findings
 from canhaptic.drive.ethercat.parameters import EthercatAxisParameters
 from canhaptic.drive.profile.fitness import Verdict, profile_findings
+from canhaptic.drive.survey import Survey
 from canhaptic.errors import DictionaryError
 
 _OUTPUTS: Final = range(0x1600, 0x1800)
@@ -69,6 +70,24 @@ def judge(path: Path, device: EsiDictionary) -> DeviceVerdict:
         asked = ("0x6502 is 0 in this file, although 0x6071 can be mapped: ask the drive",)
         return DeviceVerdict(device, Judgement.ASK, asked, conditions, text, notes)
     return DeviceVerdict(device, Judgement.CONDITIONAL if conditions else Judgement.FIT, (), conditions, text, notes)
+
+
+def surveyed(path: Path) -> Survey:
+    """Return what a first scene needs to know of the only drive of an ESI.
+
+    Raises:
+        DictionaryError: The file cannot be read, describes several products, or its drive cannot be used.
+    """
+    device = read_esi(path)
+    verdict = judge(path, device)
+    if verdict.judgement is Judgement.UNFIT or not device.is_whole:
+        raise DictionaryError(
+            f"{path}: {verdict.judgement.value}: {'; '.join(verdict.reasons)}; see canhaptic check-eds"
+        )
+    axis: Any = _axis(path, device)
+    vendor, product, _ = device.identity
+    image: Any = choose_image(device, axis)
+    return Survey(device, axis, "", device.title, vendor, product, (), (), (), image, 0, ())
 
 
 def _axis(path: Path, device: EsiDictionary) -> EthercatAxisParameters:
