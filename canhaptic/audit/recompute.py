@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from math import inf
+from math import ceil, inf
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, NotRequired, TypedDict, cast, get_args
 
@@ -35,7 +35,7 @@ from canhaptic.result import Verdicts, overall, port_account, with_groups
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import LATER_LOOP_KEYS, AxisScene, Scene, hash_of
 from canhaptic.scene.own_code import apart, require_same_code
-from canhaptic.scene.parts import build_axis_meters, build_ports
+from canhaptic.scene.parts import build_axis_meters, build_ports, lateness_of
 from canhaptic.scene.scene_logs import Channels
 from canhaptic.signals import FarRow, Sample
 
@@ -128,7 +128,10 @@ def row_of_stop(log: EnergyLog) -> int:
 
 def stop_of(scene: Scene, ports: Sequence[Port], *, dry_run: bool) -> BookedStop:
     """Return the holds of a stop as the run made them, by the state of the ports."""
-    axes, to_act = [axis.parameters for axis in scene.axes], 2 + max(axis.loop.delay for axis in scene.axes)
+    axes, time = [axis.parameters for axis in scene.axes], scene.bus.sample_time
+    to_act = 2 + max(  # as `Rig.holds_to_act`
+        axis.loop.delay + (0 if axis.parameters.admittance else ceil(lateness_of(axis) / time)) for axis in scene.axes
+    )
     return BookedStop(ports, axes, scene.bus, to_act, dry_run=dry_run)
 
 

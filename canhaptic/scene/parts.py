@@ -226,11 +226,11 @@ def build_ethercat_drive(axis: AxisScene, line: "EthercatBusCycle", *, dry_run: 
     if not is_display:
         known = known.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
     kind: type[EthercatDrive] = part("ethercat", "display" if is_display else "drive")
-    late = 0.0 if is_display else _lateness(axis)
+    late = 0.0 if is_display else lateness_of(axis)
     return kind(line, known, known.dictionary(), dry_run=dry_run, lateness=late)  # type: ignore[arg-type]
 
 
-def _lateness(axis: AxisScene) -> float:
+def lateness_of(axis: AxisScene) -> float:
     """Return the longest time from a hold's begin until its torque has settled [s]."""
     return (axis.loop.torque_window or 0.0) + _SETTLED * (axis.loop.current_lag or 0.0)
 
@@ -246,7 +246,7 @@ def build_servo_drive(axis: AxisScene, link: Link, bus: CanBusParameters, *, dry
         require_torque_axis(axis)
     if axis.parameters.admittance is None:
         known = axis.parameters.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
-        return ServoDrive(link, known, dictionary, bus, dry_run=dry_run, lateness=_lateness(axis))
+        return ServoDrive(link, known, dictionary, bus, dry_run=dry_run, lateness=lateness_of(axis))
     from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 
     return AdmittanceDrive(link, axis.parameters, dictionary, bus)

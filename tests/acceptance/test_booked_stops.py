@@ -132,6 +132,15 @@ def test_a_ramp_is_tried_where_the_account_holds_little_and_is_recomputed_and_re
     assert replay_bus_log(bus_log, load_scene(DEMO, WORDS))["status"] == "identical"
 
 
+def test_a_stop_that_waits_for_a_lagging_torque_and_holds_a_weight_is_recomputed(tmp_path: Path) -> None:
+    brake = "axes.0.brake={release_time: 5 ms, set_time: 5 ms, holds_weight: 1 N}"
+    lag = "simulation.effects=[{type: current_loop, time_constant: 300 us}]"
+    with build(load_scene(DEMO, [brake, lag]), "free", tmp_path / "run.h5") as experiment:
+        run(experiment.cycle, 40)
+    with EnergyLog.open(tmp_path / "run.h5") as log:
+        assert [port["mismatch"] for port in recompute_all(log)] == [None]
+
+
 def test_a_fault_met_in_a_stop_ends_it_at_once() -> None:
     with build(load_scene(DEMO, WORDS), "free") as experiment:
         cycle, drive = experiment.cycle, experiment.far_side.drives[0] if experiment.far_side else None
