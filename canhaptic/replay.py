@@ -81,7 +81,7 @@ def roles_of(scene: Scene) -> Roles:
     axes = [axis.parameters for axis in scene.axes]
     on = [places[axis.bus] for axis in scene.axes]
     maps = [choose_map(axis.dictionary(), axis) for axis in axes]
-    sensors = [axis.causality.force_node for axis in axes]
+    sensors = [axis.causality.force.node for axis in axes]
     nodes = zip(on * 2, [*axes, *sensors], strict=True)
     sdo_requests = frozenset((bus, od.SDO_REQUEST_BASE + of.node_id) for bus, of in nodes if of and of.node_id)
     rpdos = [(bus, plan.rpdo.cob_id) for bus, plan in zip(on, maps, strict=True)]

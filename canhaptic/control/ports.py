@@ -5,7 +5,7 @@ port of several axes has one more, behind those of all axes, for its account.
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.passivity import Controller
@@ -49,10 +49,6 @@ class Port:
             self.controller.replace(balances[self.row].torque)
 
 
-class _Step(Protocol):
-    def step(self, samples: Sequence[Sample], balances: list[EnergyBalance]) -> None: ...
-
-
 class Ports:
     """The ports of a rig, stepped together.
 
@@ -74,7 +70,7 @@ class Ports:
         self.several: tuple[Any, ...] = tuple(port for port in self.ports if port.row >= self.axes)
         render = [port.controller for port in self.ports]
         self._withhold = [each.withhold for each in render if dry_run and hasattr(each, "withhold")]
-        self.steps: Sequence[_Step] = (self,) if dry_run else self.ports
+        self.steps: Sequence[Any] = (self,) if dry_run else self.ports
 
     @property
     def axes_of_rows(self) -> list[tuple[int, tuple[int, ...]]]:

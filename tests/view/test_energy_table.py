@@ -167,7 +167,7 @@ def test_a_port_is_passive_in_doubt_or_not(least: float, uncertainty: float, ver
         ("damping rendered", {"damping_rendered": {"least": None, "most": None}}, "not known"),
         ("passive at the handle", {"energy_resolution": 0.0, "least_at_handle": -1e-3}, "in doubt"),
         ("passive at the handle", {"energy_resolution": 0.0, "least_at_handle": 0.0}, "yes"),
-        ("input from moving surfaces", {"supplied": 0.25}, "250.0 mJ"),
+        ("from elsewhere (moving surfaces, far side), net", {"supplied": 0.25}, "250.0 mJ"),
         ("uncertainty, taken off `in`", {"uncertainty": 0.25}, "250.0 mJ"),
         ("cycles limited by: singular", {"limits": {"singular": 12, "workspace": 0}}, "12"),
     ],

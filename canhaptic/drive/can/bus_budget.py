@@ -183,7 +183,7 @@ def own_frames(link: Link, drives: Sequence[ServoDrive], bus: CanBusParameters) 
         if drive.link is link:
             names[drive.map.rpdo.cob_id] = f"RPDO of {drive.axis.name}"
             names[od.SDO_REQUEST_BASE + drive.axis.node_id] = f"SDO request to {drive.axis.name}"
-            node = drive.axis.causality.force_node
+            node = drive.axis.causality.force.node
             if node is not None and node.node_id is not None:
                 names[od.SDO_REQUEST_BASE + node.node_id] = f"SDO request to the force sensor of {drive.axis.name}"
     return names
@@ -206,7 +206,7 @@ def budget_of(drives: Sequence[ServoDrive], bus: CanBusParameters) -> BusBudget:
         if node_id in names:
             raise InputError(f"{name}: node_id {node_id} is used by {names[node_id]} on the same bus; change it")
         names[node_id] = name
-        sensor = drive.axis.causality.force_node
+        sensor = drive.axis.causality.force.node
         if sensor is not None and sensor.node_id is not None:
             if sensor.node_id in names:
                 text = f"{name}: admittance.force.node.node_id {sensor.node_id} is used by {names[sensor.node_id]}"

@@ -200,7 +200,7 @@ def choose_map(dictionary: ObjectDictionary, axis: AxisParameters) -> AxisMap:
             place = f"{second.communication_index:#06x}"
             shared = f"{first.name} and {second.name} would share COB-ID {first.cob_id:#x}"
             raise DictionaryError(f"{axis.name}: {shared}; set pdo_cob_ids: {{{place}: ...}}")
-    node = axis.causality.force_node
+    node = axis.causality.force.node
     watchdog = _choose_watchdog(dictionary, axis, plans[0])
     return AxisMap(plans[0], tuple(plans[1:]), read_back, (node.frame_length,) if node else (), watchdog)
 
@@ -223,7 +223,7 @@ def _unreadable(dictionary: ObjectDictionary, kind: _Kind) -> dict[int, str]:
 
 
 def _read_back(dictionary: ObjectDictionary, axis: AxisParameters) -> tuple[ReadBack, MappedObject | None]:
-    asked, has_demand = axis.causality.read_back(axis.read_back), quirks_of(axis.quirks).maps_demand
+    asked, has_demand = axis.causality.reads or axis.read_back, quirks_of(axis.quirks).maps_demand
     if asked in ("auto", "demand") and has_demand and _is_mappable(dictionary, TORQUE_DEMAND):
         return "demand", TORQUE_DEMAND
     if asked in ("auto", "actual") and _is_mappable(dictionary, _TORQUE_ACTUAL):

@@ -87,7 +87,7 @@ class ServoDrive(TorqueAxis):
         is_first = self.map.rpdo.entries[0].index == od.CONTROLWORD
         pack: Callable[[int, int], bytes] = image.pack if is_first else lambda word, torque: image.pack(torque, word)
         self._pack = (lambda controlword, _torque: pack(controlword, 0)) if dry_run else pack  # behind the limiter's 0
-        place = axis.causality.force_place
+        place = axis.causality.force.place
         self._listen({**_SLOTS, **({place[0]: 2} if place else {})})
         self.reset()
 

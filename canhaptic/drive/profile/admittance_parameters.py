@@ -125,6 +125,9 @@ class AdmittanceParameters(Parameters):
     energy_from: ClassVar[Mapping[str, str]] = {}
     torques: ClassVar[tuple[tuple[int, str], ...]] = ()
     unseen: ClassVar[str] = ""
+    extremes: ClassVar[tuple[int, ...]] = ()  # the limits of a velocity are in its own counts
+    needs_limit: ClassVar[bool] = True
+    reads: ClassVar[Literal["", "none"]] = "none"
 
     @property
     def mode_code(self) -> int:
@@ -135,34 +138,6 @@ class AdmittanceParameters(Parameters):
     def target(self) -> int:
         """Index of the object that carries the command."""
         return od.TARGET_VELOCITY if self.mode == "velocity" else od.TARGET_POSITION
-
-    @property
-    def limit_keeper(self) -> str:
-        """Who keeps the limit of the torque where the start cannot write it."""
-        return "the drive itself (limit_in_drive)" if self.limit_in_drive else "the master alone"
-
-    @property
-    def needs_limit(self) -> bool:
-        """Whether a real drive is refused where the start cannot write that limit."""
-        return not self.limit_in_drive
-
-    @property
-    def force_place(self) -> tuple[int, int] | None:
-        """(index, subindex) of the object that shows the force; None for a sensor with its own node."""
-        return self.force.place
-
-    @property
-    def force_node(self) -> ForceNode | None:
-        """Frame of a sensor that answers the SYNC by itself; None for one in the drive."""
-        return self.force.node
-
-    def extremes(self, limit: int) -> tuple[int, ...]:
-        """Return no command: the limits of a velocity are in its own counts; see `causality`."""
-        return ()
-
-    def read_back(self, asked: object) -> Literal["none"]:
-        """Return that no torque is read back: the force is in its place; see `causality`."""
-        return "none"
 
 
 class ForceChannel:

@@ -5,11 +5,13 @@ velocities and shows forces. Both have the attributes below, so that nothing els
 """
 
 from collections.abc import Mapping
-from typing import Final, TypeVar
+from typing import Final, Literal
 
 from canhaptic.canopen import objects as od
 
-_Asked = TypeVar("_Asked")
+
+class _NoForce:
+    place = node = None
 
 
 class Impedance:
@@ -25,10 +27,11 @@ class Impedance:
         torques: Indices and names of the torques that may be read back.
         energy_from: Torque that is read back -> what the energy follows from, where it is not exact.
         unseen: What no frame shows where no torque is read back; "" where none is needed.
-        limit_keeper: Who keeps the limit of the torque where the start cannot write it.
-        needs_limit: Whether a real drive is refused where the start cannot write that limit.
-        force_place: (index, subindex) of the object of the drive that shows the force; None without one.
-        force_node: Frame of a sensor that answers the SYNC by itself; None without one.
+        extremes: Commands that type and limits of the target must take [largest torques].
+        limit_in_drive: Whether the drive keeps the limit of the torque where the start cannot write it.
+        needs_limit: Whether a real drive is refused where neither does.
+        reads: Torque that is read back in any case; "": the one that the axis asks for.
+        force: The force sensor: `place`, (index, subindex) of an object of the drive, or `node`, one of its own.
     """
 
     kind = "cyclic torque"
@@ -38,16 +41,10 @@ class Impedance:
     torques = ((od.TORQUE_DEMAND, "torque demand"), (od.TORQUE_ACTUAL, "torque actual"))
     energy_from: Mapping[str, str] = {"actual": "the measured torque 0x6077", "none": "the commands, not exact"}
     unseen = "none: a lost or old torque, and one of another size or sign, is neither stopped nor in the account"
-    limit_keeper, needs_limit = "the master alone", False
-    force_place = force_node = None
-
-    def extremes(self, limit: int) -> tuple[int, ...]:
-        """Return the commands that type and limits of the target must take, by the largest torque [per mille]."""
-        return 0, limit, -limit
-
-    def read_back(self, asked: _Asked) -> _Asked:
-        """Return which torque is read back, by the one that the axis asks for."""
-        return asked
+    extremes: tuple[int, ...] = (0, 1, -1)
+    limit_in_drive = needs_limit = False
+    reads: Literal["", "none"] = ""
+    force = _NoForce
 
 
 IMPEDANCE: Final = Impedance()

@@ -96,7 +96,7 @@ def force_object(dictionary: Dictionary, axis: TorqueAxisParameters) -> tuple[in
     Raises:
         DictionaryError: The dictionary does not list it as INTEGER16 or INTEGER32.
     """
-    if (place := axis.causality.force_place) is None:
+    if (place := axis.causality.force.place) is None:
         return None
     variable = listed(dictionary, *place)
     kind = getattr(variable, "data_type", None)
@@ -235,7 +235,9 @@ def _used(dictionary: Dictionary, use: ObjectUse, name: str) -> Finding:
 
 def _target(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     of, limit = axis.causality, _max_torque_value(axis) or 0
-    use = ObjectUse(of.target, 0, of.target_type, reads=True, writes=True, values=of.extremes(limit))
+    use = ObjectUse(
+        of.target, 0, of.target_type, reads=True, writes=True, values=tuple(limit * sign for sign in of.extremes)
+    )
     return _used(dictionary, use, f"target {MODES[of.mode_code]}")
 
 
@@ -297,7 +299,8 @@ def _rated_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding
 def _max_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     item = "0x6072 max torque"
     if state := max_torque_unwritten(dictionary, axis):
-        kept = f"{state}; {axis.causality.limit_keeper} keeps {axis.torque_limit:g}"
+        keeper = "the drive itself (limit_in_drive)" if axis.causality.limit_in_drive else "the master alone"
+        kept = f"{state}; {keeper} keeps {axis.torque_limit:g}"
         return Finding(item, Verdict.UNKNOWN, limit_objection(dictionary, axis) or kept)
     limit, asked = _max_torque_value(axis), f"torque_limit {axis.torque_limit:g}"
     limit = limit if limit is None else written_max_torque(dictionary, axis, limit)
@@ -363,7 +366,7 @@ def max_torque_unwritten(dictionary: Dictionary, axis: TorqueAxisParameters) -> 
 def limit_objection(dictionary: Dictionary, axis: TorqueAxisParameters) -> str:
     """Return why nothing in the drive limits the torque of an admittance display, with the remedy; "" otherwise."""
     state = max_torque_unwritten(dictionary, axis)
-    if not (state and axis.causality.needs_limit):
+    if not state or axis.causality.limit_in_drive or not axis.causality.needs_limit:
         return ""
     remedy = "set torque_limit in the drive with the vendor's tool and say so with admittance.limit_in_drive: true"
     return f"{state}; {remedy}; an admittance display on a real interface is refused without it"
