@@ -106,8 +106,8 @@ class CheckedCache(caching.FunctionCache):
 
     def __init__(self, function: Callable[..., object]) -> None:
         super().__init__(function)
-        locator = self._impl.locator
-        self._cache_file = _CheckedFiles(locator.get_cache_path(), self._impl.filename_base, locator.get_source_stamp())
+        place = self._impl.locator.get_cache_path()  # of these sources: older numba asks for a time too
+        self._cache_file = _CheckedFiles(place, self._impl.filename_base, None)
 
     def load_overload(self, sig: object, target_context: object) -> object:
         """Return the code from the disk; None if there is none.
