@@ -1,7 +1,7 @@
 """EtherCAT frames of a capture, read and decoded: pcap and pcapng of any program, also compressed by gzip.
 
-It shares no code with a master or a simulated drive. Datagrams are decoded one by one (ETG.1000.4, 5.4). What they
-carry - states and their refusals, objects by mailbox, process data - is told in words.
+It shares no code with a master or a simulated drive. Each datagram is decoded by itself (ETG.1000.4, 5.4): states and
+their refusals, objects by mailbox, process data.
 """
 
 import gzip

@@ -1,4 +1,4 @@
-"""Captures of Ethernet are read and decoded, whoever recorded them; a damaged one is an error that names it."""
+"""Captures of Ethernet are read and decoded, of whichever program. The error for a damaged one names it."""
 
 import gzip
 import os
