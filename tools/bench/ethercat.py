@@ -28,6 +28,7 @@ from tests.drive.ethercat.rig_bench import Bench
 from tests.sim_drive.ethercat_fuzz import attack_drives, attack_master
 from tests.sim_drive.test_ethercat_counts import KINDS, isolated, line_with, obeys
 from tools.bench.demo import CONFIG, IN_CONTACT, demo_values
+from tools.bench.ethercat_wire import with_the_other_half
 from tools.bench.report import Row, kept_folder, publish
 from tools.bench.truth import is_false
 from tools.kept_runs import run_kept
@@ -258,7 +259,7 @@ def main() -> None:
         *fuzz(_FRAMES // part),
         *size(),
     ]
-    publish("ethercat", rows, ["canhaptic", "numpy"])
+    publish("ethercat", with_the_other_half(rows, is_wire=False), ["canhaptic", "numpy"])
 
 
 if __name__ == "__main__":

@@ -80,6 +80,7 @@ class EthercatBusCycle:
     def begin(self) -> None:
         """Restart: no hold is known yet."""
         self._taken = -1  # hold of the last sample
+        self._mark = 0  # its deadline, as if none had been moved
         self._counted = self._slipped = 0  # sample times since then, and by how many the last frame missed its hold
         self._written = 0  # one bit for each drive whose outputs wait for the frame
         self._answer: Cycle | None = None
@@ -121,9 +122,12 @@ class EthercatBusCycle:
                 self.late += 1
                 return self._miss("a frame in its own hold")
             # the host itself has slipped: its deadlines belong to other holds than it counted
-            pace.shifted += slip * self._period
             pace.periods += max(0, slip)
             self.slip = min(0, slip)
+        if taken >= 0:  # a frame that left late or early may round to another count than its deadline
+            passed = (pace.deadline + pace.shifted - self._mark + self._period // 2) // self._period
+            pace.shifted += (hold - taken - passed) * self._period
+        self._mark = pace.deadline + pace.shifted
         self._slipped, self._taken, self._counted = 0, hold, 0
         pace.uneven = 0  # the drive's clock times the holds
         inputs, now, left = answer.inputs, self.clock.now(), pace.synced

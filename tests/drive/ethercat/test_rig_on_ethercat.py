@@ -166,3 +166,26 @@ def test_the_sample_times_of_a_clock_that_drifts_by_a_whole_one_are_counted_exac
     assert abs(bench.clock.now() - begun - bench.rig.sync_index * PERIOD) > PERIOD
     assert (bench.rig.deadline_index, bench.rig.skipped_syncs) == (bench.rig.sync_index, 0)
     bench.rig.stop()
+
+
+@pytest.mark.parametrize("late", [0.4, 0.6, 0.7])
+def test_a_host_that_is_held_up_before_its_frame_counts_the_holds_of_the_drives(late: float) -> None:
+    bench = Bench()
+    bench.rig.start()
+    ask, held_up = bench.line.ask, list[float]()
+
+    def ask_late(woken: int) -> int:
+        bench.clock.wait_until(woken + round(held_up.pop() * PERIOD) if held_up else woken)
+        return ask(bench.clock.now())
+
+    bench.line.ask = ask_late
+    counted = []
+    for k in range(40):
+        held_up[:] = [late] if k == 10 else []
+        bench.rig.sync()
+        bench.rig.write_torques([0.0])
+        if bench.axes[0].is_complete:
+            counted.append((bench.rig.deadline_index, bench.line._taken))
+    assert len(counted) > 30
+    assert {hold - index for index, hold in counted} == {counted[0][1] - counted[0][0]}
+    bench.rig.stop()
