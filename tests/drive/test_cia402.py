@@ -36,7 +36,7 @@ def test_states_with_torque_are_not_taken_for_disabled() -> None:
 
 
 def test_the_numbers_of_stop_reasons_in_old_logs_keep_their_meaning() -> None:
-    numbers = [0, 1, *range(10, 18), *range(20, 36)]
+    numbers = [0, 1, *range(10, 19), *range(20, 36)]
     assert [reason.value for reason in StopReason] == numbers
     assert StopReason(22).name == "STATE_LEFT"
     assert StopReason(23).name == "NMT_STATE_LEFT"
