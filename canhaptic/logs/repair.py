@@ -29,7 +29,7 @@ _SECONDS: Final = 2
 """Limit on the CPU time of the copy of the process [s]; plus one second for each `_BYTES_A_SECOND` of the file."""
 _BYTES_A_SECOND: Final = 1_000_000
 _PATIENCE: Final = 30
-"""Limit on the time that passes meanwhile, in multiples of it: HDF5 sleeps where it hopes for a writer, a host is busy."""
+"""Limit on the time that passes meanwhile, in multiples of it: HDF5 may sleep for a writer, and a host may be busy."""
 _OUT_OF_TIME: Final = ("SIGXCPU", "SIGALRM")
 _PR_SET_PDEATHSIG: Final = 1  # of Linux's prctl
 
