@@ -51,7 +51,8 @@ class FarRow(NamedTuple):
     wanted: float  # largest total that the other side asked for [pJ]
     position: float  # of the other side [m or rad]
     velocity: float  # [m/s or rad/s]
-    flags: int  # 1 the other side is ready, 2 linked, 4 a side stops
+    wall: float  # that the other side has found [m or rad]
+    flags: int  # 1 the other side is ready, 2 linked, 4 a side stops, 8 it is below the wall, 16 above
     session: int  # number of the session; 0: none
     seen: int  # largest number of a packet of the other side; -1: none
     sequence: int  # number of the packet of this SYNC; -1: none

@@ -1,7 +1,7 @@
 """One packet to a far side: 80 bytes, of which the last 16 are a tag over the others.
 
     "CH" version flags seq:u32 session:u64 sent:i64 received:i64 wanted:i64
-    position:f64 velocity:f32 seen:u32 stiffness:f32 damping:f32 tag:16                        (little-endian)
+    position:f64 velocity:f32 seen:u32 wall:f32 free:f32 tag:16                                (little-endian)
 
 Energies are totals of the session in whole picojoules. The flags hold the role, which is under the tag: a packet that
 comes back to its sender is of its own role and is dropped. `seen` is the largest `seq` of the other side,
@@ -24,8 +24,8 @@ _BODY: Final = struct.Struct("<2sBBIQqqqdfIff")
 _TAG: Final = 16
 _MOST: Final = (1 << 63) - 1
 ROLE, HELLO, READY, STOPPING, BELOW, ABOVE = 1, 2, 4, 8, 16, 32
-"""Bits of the flags: role of the sender, packet of the handshake, sender has earned its start, sender stops, it has found
-a wall and is below it, or above it."""
+"""Bits of the flags: role of the sender, packet of the handshake, sender has earned its start, sender stops, sender has
+found a wall and is below it, or above it."""
 
 
 class Packet(NamedTuple):
@@ -57,8 +57,8 @@ def unpack(data: bytes, key: bytes) -> Packet | None:
     if not compare_digest(blake2s(data[:-_TAG], digest_size=_TAG, key=key).digest(), data[-_TAG:]):
         return None
     fields = _BODY.unpack_from(data)[2:]
-    _, _, _, sent, received, wanted, position, velocity, _, stiffness, damping = fields
-    if sent < 0 or received < 0 or wanted < 0 or not isfinite(position + velocity + stiffness + damping):
+    _, _, _, sent, received, wanted, position, velocity, _, wall, free = fields
+    if sent < 0 or received < 0 or wanted < 0 or not isfinite(position + velocity + wall + free):
         return None
     return new(Packet, fields)
 

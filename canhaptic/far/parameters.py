@@ -16,12 +16,13 @@ _SWINGS: Final = 5.0
 class Coupling(Parameters):
     """What this rig renders of the other side."""
 
-    type: Literal["spring"] = "spring"
-    """`spring`: a spring and a damper to the position of the other rig."""
+    type: Literal["spring", "model"] = "spring"
+    """`spring`: a spring and a damper to the position of the other rig, which follows this one by a spring of its own.
+    `model`: the wall that the other rig has found, kept until it gets beyond it, and nothing in free space."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e6)]
-    """Stiffness of the spring."""
+    """Stiffness of the spring, or of the wall."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e4)] = 0.0
-    """Damping of the spring, of the speed between both sides."""
+    """Damping of the spring, of the speed between both sides, or of the wall."""
 
 
 class FromFar(Parameters):
@@ -105,7 +106,15 @@ def faults_of(far: FarParameters, reserve: float, *, is_real: bool, round_trip: 
     if far.level < reserve:
         text = f"got {far.level:.3g} J, expected at least the reserve of {reserve:.2g} J"
         found.append(("level", f"{text}: so much may the torques under way give out before they can change"))
-    if far.coupling.stiffness * round_trip > most:
+    if far.coupling.type == "spring" and far.coupling.stiffness * round_trip > most:
         text = f"got a spring of {far.coupling.stiffness:.3g} N/m at a round trip of {1e3 * round_trip:.3g} ms, which"
-        found.append(("coupling", f"{text} swings; expected at most {_SWINGS:g} times the damping over the round trip"))
+        found.append(
+            (
+                "coupling",
+                f"{text} swings; expected at most {_SWINGS:g} times the damping over the round trip, or type: model",
+            )
+        )
+    if round_trip >= far.silence:
+        text = f"got {1e3 * far.silence:.3g} ms, expected more than the round trip of {1e3 * round_trip:.3g} ms"
+        found.append(("silence", f"{text}: the first answer would come after the link has ended"))
     return found

@@ -15,7 +15,7 @@ Totals are whole picojoules, which a float holds exactly up to 9 kJ.
 """
 
 from dataclasses import dataclass, fields
-from math import inf
+from math import inf, sqrt
 from typing import ClassVar, Final, TypeAlias
 
 from canhaptic.control.balance import Branch, Certificate, EnergyBalance
@@ -44,6 +44,8 @@ _FADE: Final = 0.3
 """Time in which the model fades in [s]."""
 _RELEASE: Final = 0.2
 """Time in which it fades out [s]."""
+_LED: Final = 0.02
+"""Share of the spare energy by which a wall comes nearer to its place in a hold."""
 _ANY: Final = 0
 _UNDECLARED: Final = Declared(0.0, 0, 0, False, NO_RESPONSE, 0.0, 0.0, 0.0)
 
@@ -61,6 +63,7 @@ class FarSettings(guarded.GuardedSettings):
     most_gained: float = 0.0  # of R in a sample time [pJ]
     fade: float = 0.0  # of the model in a hold
     release: float = 0.0  # the same, out
+    by_model: bool = False  # whether the wall that the other side has found is rendered, and not a spring
     then: int = RELEASE
     to_rest: int = 2  # holds of zero torque after which none acts
 
@@ -73,6 +76,8 @@ class FarState(guarded.GuardedState):
     wanted: float = 0.0  # largest total that it asked for [pJ]
     far_position: float = 0.0  # [m or rad]
     far_velocity: float = 0.0  # [m/s or rad/s]
+    far_wall: float = 0.0  # wall that the other side has found [m or rad]
+    far_side: float = 0.0  # on which it is of the wall: 1 below, -1 above; 0: it knows none
     far_ready: bool = False  # whether the other side has earned its start
     linked: bool = False  # whether a session is alive
     stopping: bool = False  # of this side or the other
@@ -83,6 +88,8 @@ class FarState(guarded.GuardedState):
     asked: float = 0.0  # torque of the model before the guard [N or N*m]
     blend: float = 0.0  # share of the model that is rendered
     phase: int = IDLE
+    plane: float = 0.0  # where the wall is rendered [m or rad]
+    is_led: bool = False  # whether it is rendered
     at_rest: int = 0  # holds of zero torque since the session ended
     cut: float = 0.0  # energy that arrived and the declared limits do not let in [J]
 
@@ -159,7 +166,38 @@ def certain(state: FarState) -> float:
 def stored_by_model(settings: FarSettings, state: FarState, position: float) -> float:
     """Return the energy of the model's spring [J]."""
     stretch = position - state.far_position
+    if settings.by_model and state.phase == LINKED:
+        stretch = max(0.0, state.far_side * (position - state.plane))
     return state.blend * 0.5 * settings.stiffness * stretch * stretch
+
+
+def lead(settings: FarSettings, state: FarState, position: float) -> None:
+    """Move the rendered wall to where the other side has found it, as the tank pays or as the hand leaves.
+
+    One that appears or jumps over the hand starts at the hand.
+    """
+    side, stiffness = state.far_side, settings.stiffness
+    if side != 0.0:
+        plane = state.plane if state.is_led else position
+        deep, wanted = max(0.0, side * (position - plane)), side * (position - state.far_wall)
+        if wanted > deep:
+            spare = max(0.0, certain(state) - 0.5 * stiffness * deep * deep) * _LED
+            wanted = min(wanted, sqrt(deep * deep + 2.0 * spare / stiffness))
+        state.plane = position - side * wanted
+    state.is_led = side != 0.0
+
+
+def effort_of_model(settings: FarSettings, state: FarState, position: float, velocity: float) -> float:
+    """Return the effort of the spring to the other side, or of the wall that it has found [N or N*m]."""
+    if settings.by_model and state.phase == LINKED:
+        lead(settings, state, position)
+        deep = state.far_side * (position - state.plane)
+        if deep <= 0.0:
+            return 0.0
+        size = settings.stiffness * deep + settings.model_damping * state.far_side * velocity
+        return state.far_side * size if size > 0.0 else 0.0
+    stiffness = 0.0 if state.phase == LOST and settings.then == DAMP else settings.stiffness
+    return stiffness * (position - state.far_position) + settings.model_damping * (velocity - state.far_velocity)
 
 
 def asked_by_model(run: FarRun, position: float, moved: float) -> float:
@@ -170,9 +208,7 @@ def asked_by_model(run: FarRun, position: float, moved: float) -> float:
     velocity = moved / settings.sample_time
     if settings.longest_window:
         velocity = state.axis.window.velocity
-    stiffness = 0.0 if state.phase == LOST and settings.then == DAMP else settings.stiffness
-    effort = stiffness * (position - state.far_position) + settings.model_damping * (velocity - state.far_velocity)
-    effort *= state.blend
+    effort = state.blend * effort_of_model(settings, state, position, velocity)
     if state.phase == LINKED and not state.stopping:
         lacking = (state.wanted - state.sent) * PICO
         if state.blend == 0.0:
@@ -242,7 +278,7 @@ def come_to_rest(settings: FarSettings, state: FarState, torque: float) -> tuple
     state.unrecovered += left - paid
     state.given_up += left - paid
     state.received = state.wanted = state.booked = state.sent = state.request = state.cut = 0.0
-    state.far_ready, state.phase = False, IDLE
+    state.far_ready, state.phase, state.is_led, state.far_side = False, IDLE, False, 0.0
     return left, paid
 
 
@@ -270,6 +306,7 @@ def settings_of(far: FarParameters, parameters: guarded.GuardedParameters, loop:
         most_gained=far.from_far.power * time / PICO,
         fade=time / _FADE,
         release=time / _RELEASE,
+        by_model=far.coupling.type == "model",
         then=THEN[far.then],
         to_rest=loop.delay + 2 + parameters.max_consecutive_losses,
     )
@@ -293,7 +330,8 @@ class FarPort(guarded.Guarded):
     def take_far(self, row: FarRow) -> None:
         """Set what a log holds of a step before it is computed once more."""
         state = self.state
-        state.received, state.wanted, state.far_position, state.far_velocity = row[:4]
+        state.received, state.wanted, state.far_position, state.far_velocity, state.far_wall = row[:5]
+        state.far_side = 1.0 * bool(row.flags & 8) - 1.0 * bool(row.flags & 16)
         state.far_ready, state.linked, state.stopping = (bool(row.flags & bit) for bit in (1, 2, 4))
 
     @property

@@ -59,6 +59,11 @@ class Session:
         return self._id & _KEPT if self.is_alive else 0
 
     @property
+    def is_greeted(self) -> bool:
+        """Whether the other side asks for a new session."""
+        return not self.is_alive and self._other != 0
+
+    @property
     def next_sequence(self) -> int:
         """Number of the packet that `say` sends next; -1 without a session."""
         return self._seq if self.is_alive else -1
@@ -160,8 +165,8 @@ class Session:
         seq = self._seq
         self._seq, self._sent_at[seq % _TIMES] = seq + 1, self._now
         seen = max(0, self.seen)
-        flags, _, _, sent, received, wanted, position, velocity, _, stiffness, damping = packet
-        known = flags | self._role, seq, self._id, sent, received, wanted, position, velocity, seen, stiffness, damping
+        flags, _, _, sent, received, wanted, position, velocity, _, wall, free = packet
+        known = flags | self._role, seq, self._id, sent, received, wanted, position, velocity, seen, wall, free
         data = pack(known, self._key)
         self.most_sent = max(self.most_sent, sent_in(data))
         self._send(data)

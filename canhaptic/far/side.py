@@ -10,15 +10,21 @@ from typing import Final, NamedTuple, Protocol
 
 from canhaptic.control.ledger import EnergyLossMeter
 from canhaptic.errors import InputError
-from canhaptic.far.packet import READY, STOPPING, Packet, whole
+from canhaptic.far.packet import ABOVE, BELOW, READY, STOPPING, Packet, whole
 from canhaptic.far.parameters import FarParameters, address
-from canhaptic.far.port import IDLE, LINKED, PICO, FarPort, certain
+from canhaptic.far.port import IDLE, LINKED, LOST, PICO, FarPort, certain
 from canhaptic.far.session import Session
 from canhaptic.far.udp import UdpLink
 from canhaptic.files import read_regular
 from canhaptic.signals import FarRow, Sample
 
 _KEY: Final = 32  # bytes
+_HARD: Final = 0.1
+"""Part of the torque limit above which a torque that moves nothing has found a wall."""
+_STILL: Final = 0.02
+"""Speed below which it moves nothing [m/s or rad/s]."""
+_BEYOND: Final = 5e-3
+"""How far the axis may get beyond a wall before it is forgotten [m or rad]."""
 
 
 class Transport(Protocol):
@@ -91,10 +97,11 @@ class FarSide:
         self._time = port.settings.sample_time
         silence, secret = max(1, round(far.silence / self._time)), read_key(far.key) if far.key else b""
         self.session = Session(secret, silence, far.from_far.energy / PICO, fresh or _random, transport.send)
-        self._position = self._velocity = self._arrived = 0.0
+        self._position = self._velocity = self._arrived = self._wall = 0.0
+        self._side = 0
         self._sums = [0.0, 0.0]  # of the sessions before: received, sent [pJ]
         self._before = [0.0, 0.0]
-        self._given: tuple[float, float, float, float, int, int, int, int] = (0.0, 0.0, 0.0, 0.0, 0, 0, -1, -1)
+        self._given: tuple[float, float, float, float, float, int, int, int, int] = (*(0.0,) * 5, 0, 0, -1, -1)
         self.cut = self._sessions = 0
         self.is_stopping = False
 
@@ -122,18 +129,30 @@ class FarSide:
             state.stopping = state.stopping or bool(packet.flags & STOPPING)
             if packet.seq > newest:
                 newest = packet.seq
-                state.far_position, state.far_velocity = packet.position, packet.velocity
+                state.far_position, state.far_velocity, state.far_wall = packet.position, packet.velocity, packet.wall
+                state.far_side = 1.0 * bool(packet.flags & BELOW) - 1.0 * bool(packet.flags & ABOVE)
                 state.far_ready = state.far_ready or bool(packet.flags & READY)
             if not session.is_alive:  # the other side stops: what follows is for another session
                 break
         state.linked = session.is_alive and (state.phase == LINKED or may_begin)
+        state.linked = state.linked or (state.phase == LOST and session.is_greeted)  # what is held is let go for it
         flags = 1 * state.far_ready | 2 * state.linked | 4 * state.stopping
-        given = state.received, state.wanted, state.far_position, state.far_velocity, flags
-        self._given = (*given, session.number, session.seen, session.next_sequence)
+        flags |= 8 * (state.far_side > 0.0) | 16 * (state.far_side < 0.0)
+        given = state.received, state.wanted, state.far_position, state.far_velocity, state.far_wall
+        self._given = (*given, flags, session.number, session.seen, session.next_sequence)
         sample = samples[self.axis]
         if sample.fresh:
             self._velocity = (sample.position - self._position) / (periods * self._time)
             self._position = sample.position
+            self._search(sample.torque_applied)
+
+    def _search(self, torque: float) -> None:
+        """Find a wall where a torque does not move the axis; forget it where the axis is beyond it."""
+        wall, hard = self._wall, _HARD * self.port.settings.torque_limit
+        if self._side and self._side * (self._position - wall) > _BEYOND:
+            self._side = 0
+        if not self._side and abs(torque) > hard and abs(self._velocity) < _STILL:
+            self._side, self._wall = (1 if torque > 0.0 else -1), self._position
 
     def row(self) -> FarRow:
         """Return the row of the log for this SYNC, after the step of the port."""
@@ -152,10 +171,14 @@ class FarSide:
             if now[place] < self._before[place]:
                 self._sums[place] += self._before[place]
         self._before = now
-        flags = READY * port.is_ready | STOPPING * self.is_stopping
+        flags = (
+            READY * port.is_ready | STOPPING * self.is_stopping | BELOW * (self._side > 0) | ABOVE * (self._side < 0)
+        )
         totals = whole(state.sent), whole(state.booked), whole(state.request)
         may_begin = state.phase == IDLE and not self.is_stopping
-        self.session.say(Packet(flags, 0, 0, *totals, self._position, self._velocity, 0), may_begin=may_begin)
+        self.session.say(
+            Packet(flags, 0, 0, *totals, self._position, self._velocity, 0, self._wall), may_begin=may_begin
+        )
 
     def summary(self) -> LinkSummary:
         """Return what the link has done so far."""

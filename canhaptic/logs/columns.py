@@ -127,7 +127,15 @@ class LogSchema(NamedTuple):
                 columns.append(_LogColumn(f"truth/{port.name}/position", port.unit, "f8"))
                 columns += [_LogColumn(f"truth/{port.name}/{name}", "J", "f8") for name in PlantEnergy._fields]
         if self.with_far:
-            units = {"received": "pJ", "wanted": "pJ", "position": "m", "velocity": "m/s", "booked": "pJ", "sent": "pJ"}
+            units = {
+                "received": "pJ",
+                "wanted": "pJ",
+                "position": "m",
+                "velocity": "m/s",
+                "wall": "m",
+                "booked": "pJ",
+                "sent": "pJ",
+            }
             for name in FarRow._fields:
                 columns.append(_LogColumn(f"far/{name}", units.get(name, "1"), "f8" if name in units else "i8"))
         return columns

@@ -103,6 +103,7 @@ def test_a_side_that_stops_takes_the_torque_of_the_other_and_its_energy_stays():
         ("far.peer=10.0.0.7:5577", "listen: missing"),
         ("simulation.far_network.delay=50 ms", "swings"),
         ("far.coupling.stiffness=-1 N/m", "stiffness"),
+        ("far.silence=4 ms", "the first answer would come"),
         ("passivity={algorithm: unprotected}", "expected guarded"),
     ],
 )
@@ -144,3 +145,24 @@ def test_two_logs_are_joined_by_their_packets_and_a_log_that_hides_energy_fails(
         file["far/session"][:] += 1
     with EnergyLog.open(first) as log, EnergyLog.open(hidden) as other, pytest.raises(InputError, match="no session"):
         joined(log, other)
+
+
+@pytest.mark.slow
+def test_a_wall_that_the_other_rig_has_found_is_felt_from_the_second_touch_on_at_any_delay(tmp_path):
+    network = "simulation.far_network={delay: 50 ms, jitter: 5 ms, loss: 5 %, burst: 3}"
+    model = "far.coupling={type: model, stiffness: 2 kN/m, damping: 8 N*s/m}"
+    changes = [network, model, "far.silence=2 s", "simulation.user.motion.amplitude=60 mm"]
+    path = tmp_path / "a.h5"
+    pair = Pair((load_scene(HAND, changes), load_scene(WALL, ["far.silence=2 s"])), (path, None))
+    outcome = pair.run_through(7.0, lambda: False)
+    assert outcome.error is None
+    assert outcome.pair["least_true"] >= -1e-9
+    with EnergyLog.open(path) as log:
+        assert recompute_all(log)[0]["mismatch"] is None
+        position, torque = log.ports["handle"]["position"], log.ports["handle"]["torque_applied"]
+    late = slice(6000, 7000)
+    pressed = position[late] > 0.999 * position[late].max()
+    felt = (-torque[late][pressed] / (position[late][pressed] - 0.03)).mean()
+    assert felt >= 1500.0  # of 2000 asked
+    free = torque[3100:3900]
+    assert (free**2).mean() ** 0.5 <= 0.5

@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, Literal, NamedTuple, cast
 
 import numpy as np
 
@@ -173,6 +173,8 @@ def take_packets(state: Any, box: Any, count: int, seen: float, now: float, muta
         state.wanted = max(state.wanted, box[place, 5])
         state.linked = True
         state.far_ready = state.far_ready or box[place, 6] > 0.0
+        state.far_wall = box[place, 2] + 0.02 * math.sin(0.3 * box[place, 1])  # walls that appear, jump and go
+        state.far_side = 1.0 if math.sin(0.011 * box[place, 1]) > 0.3 else -1.0 if box[place, 1] % 7 == 0 else 0.0
         if box[place, 1] > seen:
             seen, state.far_position, state.far_velocity = box[place, 1], box[place, 2], box[place, 3]
         count -= 1
@@ -270,7 +272,9 @@ def _memory(settings: Any) -> Any:
 
 def drawn(random: np.random.Generator) -> tuple[list[Rig], list[Any], list[Way]]:
     """Returns two random rigs, their settings as declared, and the network both ways."""
-    rigs, settings = [], []
+    rigs: list[Rig] = []
+    settings: list[Any] = []
+    by_model = bool(random.random() < 0.5)
     stiffness, damping = 10.0 ** random.uniform(2.0, 4.0), random.uniform(0.0, 15.0)
     for _ in range(2):
         has_wall = random.random() < 0.6
@@ -292,8 +296,10 @@ def drawn(random: np.random.Generator) -> tuple[list[Rig], list[Any], list[Way]]
             sample_time=rig.time, delay=rig.delay, moving_mass=0.9 * rig.mass, device_damping_bound=1.0,
             device_friction_bound=rig.friction, sync_jitter=rig.jitter, encoder_count=rig.encoder, torque_limit=20.0,
         )  # fmt: skip
+        kind: Literal["spring", "model"] = "model" if by_model and not settings else "spring"
+        coupling = Coupling(type=kind, stiffness=stiffness, damping=damping)
         far = FarParameters(
-            name="link", axis="axis", peer="loopback", coupling=Coupling(stiffness=stiffness, damping=damping),
+            name="link", axis="axis", peer="loopback", coupling=coupling,
             level=10.0 ** random.uniform(-3.0, -0.5), from_far=FromFar(energy=1e3, power=1e4),
         )  # fmt: skip
         settings.append(settings_of(far, GuardedParameters(hand_force=strongest, hand_push=strongest), loop))

@@ -111,6 +111,37 @@ def felt(round_trip: float) -> Row:
     return Row(f"spring, round trip {round_trip:g} ms: felt", stiffness, "N/m", target="833 +- 2 %", met=met)
 
 
+def by_model(round_trip: float, loss: float) -> list[Row]:
+    """Returns what the hand feels of a wall that the other rig has found, at a round trip [ms] and a loss [%]."""
+    way = f"{{delay: {0.5 * round_trip} ms, jitter: {0.05 * round_trip} ms, loss: {loss} %, burst: 3}}"
+    changes = [f"simulation.far_network={way}", "simulation.user.motion.amplitude=60 mm", "far.silence=2 s"]
+    model = "far.coupling={type: model, stiffness: 2 kN/m, damping: 8 N*s/m}"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.h5"
+        scenes = load_scene(_HAND, [*changes, model]), load_scene(_WALL, ["far.silence=2 s"])
+        outcome = Pair(scenes, (path, None)).run_through(7.0, lambda: False)
+        with EnergyLog.open(path) as log:
+            position, torque = log.ports["handle"]["position"], log.ports["handle"]["torque_applied"]
+    touches = []
+    for begin in (2000, 4000, 6000):
+        there, applied = position[begin : begin + 1000], torque[begin : begin + 1000]
+        pressed = there > 0.999 * there.max()
+        touches.append(float(np.mean(-applied[pressed] / (there[pressed] - 0.03))))
+    drag, name = float(np.sqrt(np.mean(torque[3100:3900] ** 2))), f"model, {round_trip:g} ms, {loss:g} % lost"
+    given = outcome.pair["least_true"]
+    return [
+        Row(
+            f"{name}: felt at the last touch, 2 kN/m asked",
+            touches[2],
+            "N/m",
+            target=">= 1500",
+            met=touches[2] >= 1500.0,
+        ),
+        Row(f"{name}: drag in free motion, rms", drag, "N", target="<= 0.5", met=drag <= 0.5),
+        Row(f"{name}: least energy of both plants", given, "J", target=">= -1e-9", met=given >= FALSE),
+    ]
+
+
 def packet_cost() -> Row:
     """Returns the processor time of a SYNC's packet: pack, tag, send, receive, check."""
     places = ("127.0.0.1", 47811), ("127.0.0.1", 47812)
@@ -140,7 +171,9 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=60.0, help="for the networks")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     asked = parser.parse_args()
-    rows = [packet_cost(), felt(0.0), felt(10.0), *over_buses(asked.pairs), *mutants()]
+    cells = [(0.0, 0.0), (10.0, 5.0), (40.0, 0.0), (40.0, 20.0), (100.0, 0.0), (300.0, 0.0), (300.0, 20.0)]
+    models = [row for cell in cells for row in by_model(*cell)]
+    rows = [packet_cost(), felt(0.0), felt(10.0), *models, *over_buses(asked.pairs), *mutants()]
     publish("far_worlds", [*networks(asked.networks, asked.minutes, asked.jobs), *rows], _PACKAGES)
 
 
