@@ -20,6 +20,7 @@ from canhaptic.commission.session import CommissioningLimits, Dialogue, Session
 from canhaptic.errors import InputError
 from canhaptic.host.stop_signal import StopSignal
 from canhaptic.scene.build import build
+from canhaptic.scene.buses import DICTIONARIES, kind_of
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene, require_no_guesses
 from canhaptic.scene.overrides import split_override
@@ -89,12 +90,13 @@ def _copied(scene: Scene, out: Path, *, anonymous: bool) -> Path:
     """Copy the scene and its dictionaries into a folder; return the path of the copied scene."""
     changes: list[Change] = []
     for number, axis in enumerate(scene.axes):
-        name = f"drive{number}{axis.parameters.eds.suffix}"
-        content = axis.parameters.eds.read_bytes().decode("latin-1")
+        key, path = DICTIONARIES[kind_of(scene.bus_of(axis))], axis.parameters.dictionary_path
+        name = f"drive{number}{path.suffix}"
+        content = path.read_bytes().decode("latin-1")
         if anonymous:
             content = _SERIAL.sub(r"\g<1>0", _NAMES.sub(lambda found: f"{found[1]}=", content))
         (out / name).write_bytes(content.encode("latin-1"))
-        changes.append(Change(("axes", str(number), "eds"), name))
+        changes.append(Change(("axes", str(number), key), name))
     overrides = [Change(*split_override(text)) for text in scene.overrides]
     text = edited_text(scene.text, [*overrides, *changes])
     if anonymous:
@@ -111,11 +113,16 @@ def _run(scene: Scene, name: str, arguments: argparse.Namespace, dialogue: Dialo
         if stop.requested():
             return
         raise InputError(f"{name}: declined, so the folder {out} is incomplete; remove it and begin again")
-    with build(scene, None, out / f"{name}.h5", out / f"{name}.log", no_torque=no_torque) as experiment:
+    with build(scene, None, out / f"{name}.h5", out / f"{name}{_suffix(scene)}", no_torque=no_torque) as experiment:
         account, error = experiment.run_through(round(duration / scene.bus.sample_time), stop.requested)
         _write_json(out / f"{name}.json", account)
         if error is not None:
             raise error
+
+
+def _suffix(scene: Scene) -> str:
+    """Return the suffix of a bus log: text of CAN frames, or a capture of a line."""
+    return ".log" if kind_of(scene.bus) == "can" else ".pcap"
 
 
 def _write_json(path: Path, value: Any) -> None:

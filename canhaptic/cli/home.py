@@ -11,6 +11,7 @@ from canhaptic.drive import homing
 from canhaptic.errors import InputError
 from canhaptic.host.stop_signal import StopSignal
 from canhaptic.scene.build import build
+from canhaptic.scene.buses import kind_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.view.terminal import write_line, write_note
 
@@ -24,6 +25,9 @@ def execute(arguments: argparse.Namespace) -> int:
     _require_torque(axis, arguments.torque)
     order = homing.HomingOrder(arguments.method, tuple(arguments.speed), arguments.timeout)
     dialogue = dialogue_of(scene, yes=arguments.yes)
+    if (kind := kind_of(scene.bus_of(axis))) != "can":
+        text = f"{scene.source}: {axis.parameters.name} is on a bus of type {kind}, where a homing is not offered"
+        raise InputError(f"{text}; home it with the vendor's tool, or set position_reference for its encoder")
     with build(_hands_off(scene)) as experiment:
         planned = next(drive for drive in experiment.rig.drives if drive.axis.name == axis.parameters.name)
         known = planned.axis.model_copy(update={"torque_limit": arguments.torque, "reset_fault": False})

@@ -38,3 +38,21 @@ def test_the_pages_say_that_no_real_drive_was_run() -> None:
     drives = (REPOSITORY / "docs" / "drives.md").read_text(encoding="utf-8")
     assert "Never run on a real drive" in PAGE
     assert "**Never run on a real drive.**" in drives.partition("## EtherCAT")[2]
+
+
+@pytest.mark.slow
+def test_the_evidence_of_an_ethercat_drive_has_its_esi_and_every_frame(person: Person) -> None:
+    out = person.folder / "evidence"
+    person.types(
+        "evidence", str(REPOSITORY / "configs" / "ethercat.yaml"), "--out", str(out), "--yes", "--duration", "0.2"
+    )
+    assert {"drive0.xml", "rig.yaml", "dry_run.pcap", "tenth.pcap", "sign.md"} <= {file.name for file in out.iterdir()}
+    assert "esi: drive0.xml" in (out / "rig.yaml").read_text(encoding="utf-8")
+    assert "asks for OP" in person.types("inspect", str(out / "tenth.pcap"))
+
+
+def test_a_homing_on_ethercat_is_refused_before_anything_is_sent(person: Person) -> None:
+    scene = str(REPOSITORY / "configs" / "ethercat.yaml")
+    words = ("--home", scene, "--method", "37", "--speed", "1", "1", "--torque", "0.1", "--yes")
+    person.types("commission", *words, status=2)
+    assert "on a bus of type ethercat, where a homing is not offered; home it with the vendor's tool" in person.errors
