@@ -46,7 +46,7 @@ class FarParameters(Parameters):
     listen: PrintableText | None = None
     """Address of this rig, at which the other one reaches it, `10.0.0.3:5577`."""
     key: PrintablePath | None = None
-    """File of the key that both rigs share, made by `canhaptic new --far-key`; only the loopback needs none."""
+    """File of the key that both rigs share, made by `canhaptic new --far-key FILE`; only the loopback needs none."""
     coupling: Coupling
     """What this rig renders of the other side."""
     level: Annotated[float, quantity("J", gt=0.0, le=10.0)] = 0.06

@@ -47,7 +47,7 @@ def test_a_file_on_disk_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     ("wrong", "answer"),
     [
         ("demoo", "did you mean 'demo'?"),
-        ("stif_wall", "did you mean 'hard/stiff_wall'?"),
+        ("stif_wall", "did you mean 'hard/stiff_wall'"),
         ("zzzzzz", "`canhaptic configs` lists the scenes"),
     ],
 )

@@ -2,10 +2,12 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any, Protocol
 
 from canhaptic.commission.session import CommissioningLimits, OpenLoop, Session, Unattended
+from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import SdoError
 from canhaptic.scene.models import AxisScene, Scene
@@ -74,6 +76,13 @@ class Nobody:
 _NOBODY = Nobody()
 
 
+class _Drive(ServoDrive):
+    """A drive on CAN, of which the steps ask these attributes."""
+
+    def __init__(self, **attributes: Any) -> None:
+        self.__dict__ |= attributes
+
+
 class PlayedSession(Session):
     """Plays on axes of a test, and keeps what was asked for.
 
@@ -119,14 +128,15 @@ class PlayedSession(Session):
         """A rig without a bus."""
         return SimpleNamespace(drives=self.drives)
 
-    @property
+    @cached_property
     def drives(self) -> Sequence[Any]:
         """What the steps ask of a drive: the scale of its torque, and its objects."""
         scaling, information = SimpleNamespace(torque_quantum=0.01), SimpleNamespace(vendor_number=7, product_number=8)
         dictionary = SimpleNamespace(device_information=information)
         return [
-            SimpleNamespace(
+            _Drive(
                 link=_NOBODY,
+                bus=self.scene.bus,
                 scaling=scaling,
                 quirks=quirks_of(()),
                 sdo=self._sdo,

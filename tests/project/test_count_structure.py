@@ -156,7 +156,7 @@ def test_no_function_has_more_than_40_lines_without_its_docstring() -> None:
 
 _MOST_FILES: Final = 15  # of a folder, without its `__init__.py`
 _MORE: Final = {
-    "cli": 22,  # a subcommand is a file
+    "cli": 23,  # a subcommand is a file
     "sim/plant/effects": 19,  # an effect is a file
     "logs": 17,
     "sim/plant": 17,
