@@ -76,7 +76,11 @@ def test_a_second_save_is_one_clear_error_unless_overwrite_is_given(tmp_path: Pa
         assert log.rows == 50
 
 
-SCENES = sorted(path for path in (ROOT / "configs").rglob("*.yaml") if path.parent.name != "drives")
+SCENES = sorted(
+    path
+    for path in (ROOT / "configs").rglob("*.yaml")
+    if path.parent.name != "drives" and not path.stem.startswith("far_")  # two rigs run together
+)
 
 
 @pytest.mark.slow
