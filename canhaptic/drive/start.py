@@ -171,8 +171,10 @@ def _enable(exchange: Exchange, bring_ups: Sequence[BringUp]) -> None:
             patience = max(drive.axis.step_timeout, drive.quirks.enable_time)  # for one step of the enabling
             if not _is_enabled(drive) and now - begin[drive] > round(patience * 1e9):
                 seen = f"{state.value} (statusword {drive.statusword:#06x}) after controlword {drive.controlword:#04x}"
-                seen += "" if drive.is_operational else f", {drive.state_text}"
                 expected = _AFTER.get(drive.controlword, PowerState.SWITCH_ON_DISABLED)
+                if not drive.is_operational:
+                    remedy = drive.emergency_remedy(exchange.pace.skipped)
+                    raise bring_up.refusal("enable", f"{seen}, {drive.state_text}", expected.value, remedy)
                 raise bring_up.overdue("enable", seen, expected.value, patience)
             drive.controlword = int(next_controlword(state) or Controlword.DISABLE_VOLTAGE)
         if all(_is_enabled(drive) and drive.is_complete for drive in exchange.drives):
