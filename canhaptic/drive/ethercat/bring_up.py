@@ -27,6 +27,7 @@ _AHEAD_NS: Final = 100_000_000  # from now to the first SYNC0: it must not have 
 _LOCK_SECONDS: Final = 5
 _VALID_OUTPUTS: Final = 5  # cycles with zero outputs before OP is asked for
 _ASSIGN_ACTIVATE: Final = 0x0300
+_TRIES: Final = 20
 _BEFORE_SAFE_OP: Final = ("IP", "PS")  # transitions of the writes that a vendor wants at the start
 _LARGEST_STARTUP: Final = 8  # [bytes] of an integer
 
@@ -158,12 +159,15 @@ class EthercatBringUp(BringUp):
         for one in others:
             one.request(AlState.OP)
             line.idle()
-        line.held.begin()
-        line.idle()
+        for _ in range(_TRIES):  # counting begins with a frame that came back: before it, the host knows no hold
+            line.held.begin()
+            line.idle()
+            if line.held.hold is not None:
+                break
         if line.segment.repeats_outputs and line.bus.frames == 2:
             return  # the drive takes what is repeated for new outputs, so that its count shows no late frame
         with self.step("SYNC0"):
-            for drive in line.drives:
+            for drive in line.drives if line.held.hold is not None else ():
                 drive.begin_counts()
 
     def _map_images(self) -> None:

@@ -1,10 +1,12 @@
 """A rig on EtherCAT: start, cycle and every way out, on simulated drives down to the bytes."""
 
+from itertools import count
+
 import pytest
 
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import HoldsContradictedError, NmtStateLeftError, RigError, StartError, TpdoLostError
-from canhaptic.sim.drive.ethercat.cable import CableEffects
+from canhaptic.sim.drive.ethercat.cable import CableEffects, Fault
 from canhaptic.sim.drive.ethercat.drive_node import ClockParameters
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.ethercat.rig_bench import Bench
@@ -77,6 +79,14 @@ def test_a_clock_that_is_far_from_the_reference_clock_is_refused_at_the_start() 
     with pytest.raises(StartError, match=r"phase lock: got axis1: its clock is .* us from the reference clock"):
         b.rig.start()
     assert is_off(b)
+
+
+def test_frames_that_are_lost_as_the_counts_begin_are_no_disagreement() -> None:
+    b, frames = Bench(), count()
+    b.cable.draw = lambda: Fault.LOST if next(frames) in (3, 5, 7) else Fault.NONE  # those that write
+    b.run(20, 5.0)
+    assert next(frames) > 7
+    assert b.axes[0].disagreement == ""
 
 
 def test_counts_of_held_torques_that_disagree_end_the_run() -> None:
