@@ -203,7 +203,8 @@ def _play(scene: Scene, frames: list[LoggedFrame], cycles: int) -> RecordedLine:
 def fuzz(frames: int) -> Iterator[Row]:
     """Yields what mutated frames do; an exception or a hang ends the benchmark."""
     torques = attack_drives(frames, seed=7)
-    yield Row("fuzz: mutated frames that left a torque nobody asked for", torques, f"of {frames}", target="0", met=torques == 0)
+    name = "fuzz: mutated frames that left a torque nobody asked for"
+    yield Row(name, torques, f"of {frames}", target="0", met=torques == 0)
     answers = attack_master(max(1, frames // _ANSWERS_A_RUN), seed=7)
     yield Row("fuzz: answers to the master, some mutated", answers, "", target=f">= {frames}", met=answers >= frames)
 
