@@ -1,13 +1,15 @@
 """One scene on CAN and on EtherCAT: the same torques to the bit, the same energies, the same verdict."""
 
+from dataclasses import replace
+
 import pytest
 
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import scene_from_mapping
 from tools.bench.demo import CONFIG, IN_CONTACT, demo_values
 from tools.on_ethercat import on_ethercat, torques_of, true_energies
-from tools.truth.ethercat import outcome_of
-from tools.truth.judge import account_of
+from tools.truth.ethercat import ethercat_scene, outcome_of
+from tools.truth.judge import account_of, judged
 
 
 def torques_and_energies(experiment: Experiment, cycles: int) -> tuple[list[tuple[float, ...]], list[float]]:
@@ -37,6 +39,14 @@ def false_claims(seeds: range) -> dict[int, tuple[str, ...]]:
 
 def test_a_random_scene_with_drifting_clocks_and_lost_frames_claims_nothing_false() -> None:
     assert false_claims(range(25, 28)) == {}
+
+
+def test_a_push_against_late_torques_has_to_be_declared_on_a_line_too() -> None:
+    scene = ethercat_scene(204)  # 19 N towards a wall, through its drag; 7 N are declared as it is drawn
+    raised, outcome = judged(replace(scene, duration=0.04))
+    assert (outcome.declared, outcome.false_claims) == (True, ())
+    assert scene.passivity["hand_push"] < 19.16 < raised.passivity["hand_push"]
+    assert outcome.peak > 0.0
 
 
 @pytest.mark.slow
