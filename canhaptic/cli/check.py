@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping
 from math import inf
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import yaml
 from rich.console import Console
@@ -42,6 +42,9 @@ from canhaptic.scene.models import AxisScene, Guess, Scene, refused_values, stat
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Cell, Styled, Table
 from canhaptic.view.terminal import write_json
+
+if TYPE_CHECKING:
+    from canhaptic.scene.far_findings import LinkFigure
 
 
 class _HostSetting(NamedTuple):
@@ -146,7 +149,14 @@ def _findings_of(scene: Scene, *, asks_drives: bool = False) -> "_CheckFindings"
         fitness=[_fitness(*of, scene) for of in zip(dictionaries, scene.axes, strict=True)],
         dear=dear_holds(scene) if scene.simulated and not scene.unread else [],
         objects=kept,
+        far=_far_findings(scene) if scene.far is not None else [],
     )
+
+
+def _far_findings(scene: Scene) -> "list[LinkFigure]":
+    from canhaptic.scene.far_findings import far_findings
+
+    return far_findings(scene)
 
 
 _USUAL: Final = 0.01
@@ -176,6 +186,7 @@ class _CheckFindings(NamedTuple):
     fitness: list[str]  # of each drive, in the words of `check-eds`
     dear: list[str]  # simulated plants whose sample time may take long
     objects: dict[str, list[Finding]]  # of each axis, as its drive has them; empty where none was asked
+    far: "list[LinkFigure]"  # of the link to a far side; empty without one
 
     def wall(self) -> str:
         """Sentence: from which approach speed the weakest wall is felt, or why none is; "" if no wall can be tried."""
@@ -243,7 +254,7 @@ def _fitness(dictionary: Any, axis: AxisScene, scene: Scene) -> str:
 
 
 def _as_json(found: _CheckFindings) -> dict[str, Any]:
-    scene, budgets, findings, hints, felt, fitness, _, objects = found
+    scene, budgets, findings, hints, felt, fitness, _, objects, far = found
     buses = {name: _budget_as_json(budget) for name, budget in budgets.items()}
     return {
         "status": "ok",
@@ -264,6 +275,7 @@ def _as_json(found: _CheckFindings) -> dict[str, Any]:
         "drives": _findings_as_json(findings),
         **({"objects": _findings_as_json(objects)} if objects else {}),
         "stability": [with_old_names({**hint._asdict(), "exceeded": hint.exceeded}) for hint in hints],
+        **({"far": [figure._asdict() for figure in far]} if far else {}),
         "host": [setting._asdict() for setting in host_settings()],
         "realtime": _realtime(scene),
     }
@@ -335,6 +347,8 @@ def _print_findings(console: Console, found: _CheckFindings, *, full: bool) -> N
         if found.objects:
             console.print(_fitness_table(f"{name}: kept in the drive", found.objects[name]))
     console.print(_hint_table([h for h in found.hints if full or h.concerns], len(found.scene.axes), texts=full))
+    if found.far:
+        console.print(_far_table(found.far))
     settings = [setting for setting in host_settings() if full or setting.advice]
     if full:
         console.print(Table("host", ("setting", "value", "advice"), settings))
@@ -377,6 +391,11 @@ def _bus_table(bus: str, budget: BusBudget) -> Table:
         for row in budget.rows
     ]
     return Table(f"{bus}, worst cycle", ("what", "frames", "bits each", "bits", "time"), rows)
+
+
+def _far_table(figures: "list[LinkFigure]") -> Table:
+    rows = [(of.what, "not known" if of.value is None else si(of.value, of.unit, 3), of.text) for of in figures]
+    return Table("link to the far side, before it runs", ("what", "value", "on what it rests"), rows)
 
 
 def _fitness_table(title: str, findings: list[Finding]) -> Table:

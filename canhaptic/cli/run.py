@@ -178,10 +178,12 @@ def _fails(result: RunResult) -> bool:
 
 def _run(experiment: Experiment, duration: float | None, stop: StopSignal) -> tuple[RunResult, CanHapticError | None]:
     """Run until the end or an error; return the account, and the error or None."""
-    importlib.import_module("canhaptic.view.run_lines")  # now: a run may use up every descriptor
+    lines = importlib.import_module("canhaptic.view.run_lines")  # now: a run may use up every descriptor
     period = experiment.scene.bus.sample_time
     cycles = None if duration is None else max(1, round(duration / period))
     with run_progress(cycles, period, experiment.pace) as progress:
+        if progress is not None and experiment.far is not None:
+            progress.status = lines.link_status(experiment.far.summary)
         result, error = experiment.run_through(cycles, walls_first(experiment, stop.requested), progress)
     if error is not None and result["status"].startswith("failed"):
         result["status"] = "failed"

@@ -9,7 +9,7 @@ from canhaptic.units import Name, Parameters, PrintablePath, PrintableText, quan
 LOOPBACK: Final = "loopback"
 """`peer` of a rig that runs in the same process (`canhaptic run --with`)."""
 
-_SWINGS: Final = 5.0
+SWINGS: Final = 5.0
 """Largest stiffness times round trip, over the damping, of a spring that does not swing."""
 
 
@@ -90,7 +90,9 @@ def address(text: str, key: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def faults_of(far: FarParameters, reserve: float, *, is_real: bool, round_trip: float) -> list[tuple[str, str]]:
+def faults_of(
+    far: FarParameters, reserve: float, *, is_real: bool, round_trip: float, unit: str
+) -> list[tuple[str, str]]:
     """Return what of a section `far` a rig cannot render, each with its key.
 
     Args:
@@ -98,8 +100,9 @@ def faults_of(far: FarParameters, reserve: float, *, is_real: bool, round_trip: 
         reserve: Energy that the torques under way may give out [J].
         is_real: Whether the drives may be real.
         round_trip: Simulated time to the other side and back [s].
+        unit: Unit of the stiffness.
     """
-    found, most = [], far.coupling.damping * _SWINGS
+    found, most = [], far.coupling.damping * SWINGS
     if is_real and not far.declares_limits:
         text = "missing, expected the most energy and power that the far side is believed"
         found.append(("from_far", f"{text}, such as {{energy: 2 J, power: 20 W}}"))
@@ -107,11 +110,13 @@ def faults_of(far: FarParameters, reserve: float, *, is_real: bool, round_trip: 
         text = f"got {far.level:.3g} J, expected at least the reserve of {reserve:.2g} J"
         found.append(("level", f"{text}: so much may the torques under way give out before they can change"))
     if far.coupling.type == "spring" and far.coupling.stiffness * round_trip > most:
-        text = f"got a spring of {far.coupling.stiffness:.3g} N/m at a round trip of {1e3 * round_trip:.3g} ms, which"
+        text = (
+            f"got a spring of {far.coupling.stiffness:.3g} {unit} at a round trip of {1e3 * round_trip:.3g} ms, which"
+        )
         found.append(
             (
                 "coupling",
-                f"{text} swings; expected at most {_SWINGS:g} times the damping over the round trip, or type: model",
+                f"{text} swings; expected at most {SWINGS:g} times the damping over the round trip, or type: model",
             )
         )
     if round_trip >= far.silence:

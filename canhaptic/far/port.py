@@ -38,7 +38,7 @@ IDLE, LINKED, LOST = 0, 1, 2
 HOLD, DAMP, RELEASE = 0, 1, 2
 """What the port renders after its session ended."""
 THEN: Final = {"hold": HOLD, "damp": DAMP, "release": RELEASE}
-_READY: Final = 0.4
+READY: Final = 0.4
 """Share of the level that a side must have earned before the model is rendered."""
 _FADE: Final = 0.3
 """Time in which the model fades in [s]."""
@@ -46,6 +46,7 @@ _RELEASE: Final = 0.2
 """Time in which it fades out [s]."""
 _LED: Final = 0.02
 """Share of the spare energy by which a wall comes nearer to its place in a hold."""
+_ROUNDING: Final = 1e-9  # [N or N*m]
 _ANY: Final = 0
 _UNDECLARED: Final = Declared(0.0, 0, 0, False, NO_RESPONSE, 0.0, 0.0, 0.0)
 
@@ -154,7 +155,7 @@ def move_on(settings: FarSettings, state: FarState, position: float) -> None:
     if state.phase == LOST:
         if state.linked or state.stopping or settings.then == RELEASE:
             state.blend = max(0.0, state.blend - settings.release)
-    elif state.blend > 0.0 or (state.far_ready and certain(state) >= _READY * settings.level):
+    elif state.blend > 0.0 or (state.far_ready and certain(state) >= READY * settings.level):
         state.blend = min(1.0, state.blend + settings.fade)
 
 
@@ -347,10 +348,19 @@ class FarPort(guarded.Guarded):
         return settings
 
     @property
+    def is_limited(self) -> bool:
+        """Whether the last torque of the model was cut while energy that was asked of the other side was lacking."""
+        state, settings = self.state, self.settings
+        if state.phase != LINKED or state.blend == 0.0 or state.request <= state.booked:
+            return False
+        newest: float = self._memory.axis.commands.torques[state.axis.oldest - 1]
+        return min(abs(state.asked), settings.torque_limit) - abs(newest) > settings.quantum + _ROUNDING
+
+    @property
     def is_ready(self) -> bool:
         """Whether this side has earned its start."""
         state, settings = self.state, self.settings
-        return state.phase == LINKED and (state.blend > 0.0 or certain(state) >= _READY * settings.level)
+        return state.phase == LINKED and (state.blend > 0.0 or certain(state) >= READY * settings.level)
 
     def reserve(self, torque: float) -> float:
         """Return what the tank must hold for a torque at rest [J]: the most that it gives out while it cannot change.

@@ -77,6 +77,7 @@ class LinkSummary(NamedTuple):
     under_way: float  # sent, and not known to have arrived
     in_tank: float
     cut: int  # cycles in which more arrived than the declared limits let in
+    limited: int  # cycles in which the torque was cut while energy that was asked of the other side was lacking
 
 
 class FarSide:
@@ -102,7 +103,7 @@ class FarSide:
         self._sums = [0.0, 0.0]  # of the sessions before: received, sent [pJ]
         self._before = [0.0, 0.0]
         self._given: tuple[float, float, float, float, float, int, int, int, int] = (*(0.0,) * 5, 0, 0, -1, -1)
-        self.cut = self._sessions = 0
+        self.cut = self.limited = self._sessions = 0
         self.is_stopping = False
 
     def turn(self, samples: Sequence[Sample], periods: int) -> None:
@@ -166,6 +167,7 @@ class FarSide:
         """Tell the other side what the port has decided, after the torque was sent."""
         state, port = self.port.state, self.port
         self.cut += state.cut > 0.0
+        self.limited += port.is_limited
         now = [state.booked, state.sent]
         for place in (0, 1):  # the totals of a session that was forgotten
             if now[place] < self._before[place]:
@@ -189,6 +191,7 @@ class FarSide:
         return LinkSummary(
             session.sessions, session.is_alive, trip, share, session.refused, received, sent, state.given_up,
             PICO * max(0.0, state.sent - self._arrived), certain(state), self.cut,
+            self.limited,
         )  # fmt: skip
 
     def close(self) -> None:

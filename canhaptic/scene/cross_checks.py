@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from canhaptic.axis_units import effort_unit
+from canhaptic.axis_units import effort_unit, stiffness_unit
 from canhaptic.canopen.eds import DriveDictionary
 from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.can.bus_budget import require_budget, shortest_answer
@@ -250,6 +250,7 @@ def _check_far(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> No
         return
     section = sections["far"]
     from canhaptic.far.parameters import LOOPBACK, faults_of
+    from canhaptic.scene.far_findings import round_trip
 
     axis = next((axis for axis in scene.axes if axis.guard == FAR), None)
     if axis is None or axis.group or axis.parameters.admittance is not None:
@@ -265,9 +266,10 @@ def _check_far(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> No
     except ParameterError as error:
         faults.add(section.value_at("axis"), str(error))
         return
-    trip = 2.0 * (scene.far_network.delay + scene.far_network.jitter) if scene.far_network is not None else 0.0
+    trip = round_trip(scene)
     held = min(port.settings.torque_limit, port.hand_force or 0.0)
-    for key, text in faults_of(scene.far, port.reserve(held), is_real=not scene.simulated, round_trip=trip):
+    reserve, unit = port.reserve(held), stiffness_unit(axis.parameters.unit)
+    for key, text in faults_of(scene.far, reserve, is_real=not scene.simulated, round_trip=trip, unit=unit):
         faults.add(section.value_at(key), text)
 
 

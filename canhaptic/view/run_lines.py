@@ -1,7 +1,7 @@
 """First lines of a run on a terminal: the verdict and key figures of each port, how the run ended, any problem."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import IO, Any, Final
 
@@ -246,13 +246,40 @@ def link_lines(result: Result) -> Iterator[RenderableType]:
     """Yield what the link to a far side did: round trip, losses, energy to and fro, and what limited it."""
     if (far := result.get("far")) is None:
         return
+    flows = f"{si(far['received'], 'J', 3)} received, {si(far['sent'], 'J', 3)} sent"
+    text = f" {_state(far)}; {flows}"
+    text += f"; {counted(far['refused'], 'packet')} refused" if far["refused"] else ""
+    short, over = (counted(int(far[key]), "cycle") if far[key] else "" for key in ("limited", "cut"))
+    said = [
+        f"torque cut in {short} while its energy was lacking" * bool(short),
+        f"more than from_far came in {over}" * bool(over),
+    ]
+    limited = f"; limited_by: far ({'; '.join(filter(None, said))})" if short or over else ""
+    yield Text(text + limited, style="" if far["linked"] else "yellow")
+
+
+def _state(far: Mapping[str, float]) -> str:
     trip = f"{1e3 * far['round_trip']:.3g} ms, " if far["round_trip"] >= 0.0 else ""
     state = f"link {trip}{100.0 * far['lost']:.2g} % lost" if far["linked"] else "link ended" * (far["sessions"] > 0)
-    flows = f"{si(far['received'], 'J', 3)} received, {si(far['sent'], 'J', 3)} sent"
-    text = f" {state or 'no link: no authentic packet came'}; {si(far['under_way'], 'J', 2)} under way; {flows}"
-    text += f"; {counted(far['refused'], 'packet')} refused" if far["refused"] else ""
-    limited = f"; limited_by: far in {counted(far['cut'], 'cycle')}" if far["cut"] else ""
-    yield Text(text + limited, style="" if far["linked"] else "yellow")
+    return f"{state or 'no link: no authentic packet came'}; {si(far['under_way'], 'J', 2)} under way"
+
+
+def link_status(summary: Callable[[], Any]) -> Callable[[], str]:
+    """Return what tells the state of a link in a few words, and whether the far side limited it since told before.
+
+    Args:
+        summary: Returns the summary of the link so far.
+    """
+    before = 0
+
+    def status() -> str:
+        nonlocal before
+        far: Mapping[str, float] = summary()._asdict()
+        now, last = int(far["cut"] + far["limited"]), before
+        before = now
+        return _state(far) + "; limited_by: far" * (now > last)
+
+    return status
 
 
 def pair_lines(result: Result) -> Iterator[RenderableType]:

@@ -11,11 +11,12 @@ import os
 import select
 import stat
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from io import UnsupportedOperation
 from itertools import chain
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from canhaptic.drive.clock import WallClock
@@ -150,6 +151,9 @@ class RunProgress:
         pace: Pace of the run.
         every: Number of cycles between two looks at the clock at free pace.
         is_piped: Whether plain lines are written, one every five seconds.
+
+    Attributes:
+        status: Returns what the line of a run at real pace says besides time and cycles.
     """
 
     def __init__(
@@ -164,6 +168,7 @@ class RunProgress:
         self._next = self._clock.now() + (_PIPED if self._is_piped else _FIRST)
         self._shown = False
         self._bar: Progress | None = None
+        self.status: Callable[[], str] = str
 
     def __call__(self, cycles: int) -> None:
         """Show the number of completed cycles if an update is due; cheap otherwise."""
@@ -181,7 +186,8 @@ class RunProgress:
         self._shown = True
         if self._pace == "real" or self._cycles is None:
             end = "" if self._cycles is None else f" of {self._cycles * self._sample_time:g} s"
-            _write_if_free(f"\r  {cycles * self._sample_time:8.1f} s{end}   {cycles} cycles ")
+            line = f"  {cycles * self._sample_time:8.1f} s{end}   {cycles} cycles  {self.status()}"
+            _write_if_free(f"\r{line[: get_terminal_size().columns - 1]}\033[K")
             return
         if self._bar is None:
             from rich.console import Console
