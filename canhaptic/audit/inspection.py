@@ -510,24 +510,26 @@ def _leave_open(log: EnergyLog, axes: Sequence[str], account: PortResult) -> Non
 
 def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> LedgerSummary:
     """Return the sums over some rows; a `Ledger` that takes one row at a time gives equal sums."""
-    h_i, h_r, supplied = column("interaction"), column("dissipated"), column("supplied")
+    h_i, h_r = column("interaction"), column("dissipated")
     margin, margin_row = _least(_running(h_i - h_r))
     margin = without_dust(margin, _sum(np.abs(h_i)))
     margin_row = margin_row if margin else 0
-    running = _running(h_i)
-    place = rows.start + margin_row
-    cycle = int(log.timing["sync_index"][place]) if len(h_i) else 0
-    deadline = int(log.deadlines(place, place + 1)[0]) if len(h_i) else 0
+    dissipated, (least, first_below) = _sum(h_r), _lowest(log, h_i, rows.start)
+    energy_in, energy_out, supplied = _flows(h_i, column("supplied"))
+    place, is_any = rows.start + margin_row, len(h_i) > 0
+    cycle = int(log.timing["sync_index"][place]) if is_any else 0
+    deadline = int(log.deadlines(place, place + 1)[0]) if is_any else 0
+    del h_i, h_r  # of an hour 60 MB
     surplus, branch = column("surplus"), _known(log, "branch", column("branch"), len(Branch))
     certificates = _known(log, "certificate", column("certificate"), len(Certificate))
     rendered = column("damping_rendered")[(branch != Branch.FREE) & (branch != Branch.EXIT)]
     return LedgerSummary(
-        energy_in=_sum(np.maximum(h_i - supplied, 0.0)),
-        energy_out=-_sum(np.minimum(h_i - supplied, 0.0)),
+        energy_in=energy_in,
+        energy_out=energy_out,
         stored=_last(column("stored")),
-        dissipated=_sum(h_r),
+        dissipated=dissipated,
         generated=_sum(column("gen")),
-        supplied=_sum(supplied),
+        supplied=supplied,
         surplus_end=_last(surplus),
         surplus_max=float(surplus.max(initial=0.0)),
         recovered=_sum(column("h_pas")),
@@ -537,8 +539,8 @@ def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> Led
         margin_value=margin,
         margin_cycle=cycle,
         margin_deadline=deadline,
-        least_interaction=_least(running)[0],
-        first_below=_first_below(log, running, rows.start),
+        least_interaction=least,
+        first_below=first_below,
         certificates=Certificate.of(
             sum(1 << int(number) for number in np.unique(certificates[column("torque_command") != 0.0]))
         ),
@@ -547,6 +549,17 @@ def _summary(log: EnergyLog, column: Callable[[str], Array], rows: slice) -> Led
         damping_most=float(rendered.max()) if len(rendered) else 0.0,
         has_open_hold=bool(len(branch) and branch[-1] == Branch.HELD),
     )
+
+
+def _lowest(log: EnergyLog, h_i: Array, start: int) -> tuple[float, int | None]:
+    running = _running(h_i)
+    return _least(running)[0], _first_below(log, running, start)
+
+
+def _flows(h_i: Array, supplied: Array) -> tuple[float, float, float]:
+    """Return what came in, what went out, both without what was supplied, and that [J]."""
+    by_motors = h_i - supplied if supplied.any() else h_i
+    return _sum(np.maximum(by_motors, 0.0)), -_sum(np.minimum(by_motors, 0.0)), _sum(supplied)
 
 
 def _known(log: EnergyLog, name: str, values: Array, count: int) -> Array:

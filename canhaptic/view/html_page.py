@@ -253,7 +253,7 @@ def _further(log: EnergyLog, rows: slice) -> tuple[_Panels, list[str]]:
         if name in log.timing
     }
     panels["timing"] = "s", {name: (at, values * _S_PER_NS) for name, (at, values) in timing.items()}
-    panels["lost"] = "", {name: thinned(np.cumsum(of)) for name, of in losses(log, *span).items() if of.any()}
+    panels["lost"] = "", {name: thinned(np.cumsum(of, out=of)) for name, of in losses(log, *span).items() if of.any()}
     shown = {name: panel for name, panel in panels.items() if any(line.any() for _, line in panel[1].values())}
     return shown, [name for name in panels if name not in shown]
 

@@ -132,6 +132,14 @@ def notches_of(log: EnergyLog, name: str, low: float, high: float) -> list[float
 
 def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
     """Return the losses just before each row: SYNCs skipped, TPDOs missed per axis, and cycles not in the log."""
+    parts = [_losses(log, at, min(at + _BLOCK, stop)) for at in range(start, max(stop, start + 1), _BLOCK)]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+_BLOCK: Final = 65_536  # rows held in memory at a time
+
+
+def _losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
     index = log.timing.read("sync_index", max(0, start - 1), stop).astype(np.int64)
     dropped = log.timing.read("dropped_before", start, stop).astype(np.int64)
     deadlines = log.deadlines(max(0, start - 1), stop).astype(np.int64)
@@ -139,8 +147,9 @@ def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
     gaps = np.diff(index, prepend=index[:1] - 1)[len(index) - len(dropped) :] - 1
     lost = {"SYNCs skipped": skipped[len(index) - len(dropped) :] + np.maximum(gaps - dropped, 0)}
     for name in log.axes:
-        lost[f"{name}: TPDOs missed"] = (log.ports[name].read("fresh", start, stop) == 0).astype(np.int64)
-    return lost | {"cycles not in the log": dropped}
+        lost[f"{name}: TPDOs missed"] = log.ports[name].read("fresh", start, stop) == 0
+    lost["cycles not in the log"] = dropped
+    return {name: of.astype(np.int32) for name, of in lost.items()}
 
 
 def faults_of(log: EnergyLog, port: str, index: Array) -> list[MarkedEvent]:
