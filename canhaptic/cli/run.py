@@ -183,7 +183,7 @@ def _run(experiment: Experiment, duration: float | None, stop: StopSignal) -> tu
     cycles = None if duration is None else max(1, round(duration / period))
     with run_progress(cycles, period, experiment.pace) as progress:
         if progress is not None and experiment.far is not None:
-            progress.status = lines.link_status(experiment.far.summary)
+            progress.status = lines.link_status(experiment.far.summary).__next__
         result, error = experiment.run_through(cycles, walls_first(experiment, stop.requested), progress)
     if error is not None and result["status"].startswith("failed"):
         result["status"] = "failed"

@@ -110,9 +110,7 @@ def faults_of(
         text = f"got {far.level:.3g} J, expected at least the reserve of {reserve:.2g} J"
         found.append(("level", f"{text}: so much may the torques under way give out before they can change"))
     if far.coupling.type == "spring" and far.coupling.stiffness * round_trip > most:
-        text = (
-            f"got a spring of {far.coupling.stiffness:.3g} {unit} at a round trip of {1e3 * round_trip:.3g} ms, which"
-        )
+        text = f"got {far.coupling.stiffness:.3g} {unit} at a round trip of {1e3 * round_trip:.3g} ms, which"
         found.append(
             (
                 "coupling",

@@ -3,21 +3,18 @@
 Reserve and times are those of the port itself, which a handle moves at constant speed; no network is simulated.
 """
 
-from math import isfinite
 from typing import Final, NamedTuple
 
 from canhaptic.axis_units import damping_unit, effort_unit, si, stiffness_unit
-from canhaptic.far.parameters import SWINGS
+from canhaptic.far.parameters import SWINGS, Coupling
 from canhaptic.far.port import PICO, READY
 from canhaptic.scene.models import FAR, AxisScene, Scene
 from canhaptic.scene.parts import build_far_port
 
-_SPEEDS: Final = (0.1, 0.2, 0.4)
-"""Speeds of a hand that are tried, on a rotary axis ten times as much [m/s]."""
-_PER_RADIAN: Final = 10.0
+_SPEEDS: Final = {"m": (0.1, 0.2, 0.4), "rad": (1.0, 2.0, 4.0)}
+"""Speeds of a hand that are tried [m/s or rad/s]."""
 _LONGEST: Final = 2.0
 """Time in which a hand is tried [s]."""
-_MILLI: Final = 1e-3
 
 
 class LinkFigure(NamedTuple):
@@ -40,40 +37,33 @@ def far_findings(scene: Scene) -> list[LinkFigure]:
     axis = next((axis for axis in scene.axes if axis.guard == FAR), None)
     if scene.far is None or axis is None:
         return []
-    coupling = scene.far.coupling
-    touches = _of_spring if coupling.type == "spring" else _of_model
-    rows = touches(coupling.stiffness, coupling.damping, round_trip(scene), axis)
-    return [_reserve(scene, axis), _closing(scene, axis), *rows]
+    rows = _of_spring if scene.far.coupling.type == "spring" else _of_model
+    return [_reserve(scene, axis), _closing(scene, axis), *rows(scene.far.coupling, round_trip(scene), axis)]
 
 
 def _reserve(scene: Scene, axis: AxisScene) -> LinkFigure:
-    """Return what the tank must hold for the torque that the declared hand holds at rest."""
-    port, unit = build_far_port(scene, axis), effort_unit(axis.parameters.unit)
+    """Return what the tank must hold for a torque as large as the declared force of the hand."""
+    port, unit, limit = build_far_port(scene, axis), effort_unit(axis.parameters.unit), axis.parameters.torque_limit
     if not port.settings.declared.by_hand_force:
         return LinkFigure("reserve", None, "J", "torques are not certified by hand force here")
-    limit, level = port.settings.torque_limit, port.settings.level
     held = min(limit, port.hand_force or 0.0)
-    text = f"the most that {si(held, unit, 3)}, held at rest against hand_force, can give out before it can change;"
-    text += f" level is {si(level, 'J', 3)}"
-    if isfinite(limit):
-        text += f"; at the torque limit of {si(limit, unit, 3)} it is {si(port.reserve(limit), 'J', 3)}"
-    return LinkFigure("reserve", port.reserve(held), "J", text)
+    text = f"the most that a torque of {si(held, unit, 3)} (hand_force) can give out at rest before it can change;"
+    text += f" at the torque limit of {si(limit, unit, 3)} it is {si(port.reserve(limit), 'J', 3)}; level is"
+    return LinkFigure("reserve", port.reserve(held), "J", f"{text} {si(port.settings.level, 'J', 3)}")
 
 
 def _closing(scene: Scene, axis: AxisScene) -> LinkFigure:
     """Return in what time the slowest of some hands closes the link, of whose other side nobody moves."""
     idle, unit = "", f"{axis.parameters.unit}/s"
-    for speed in _SPEEDS:
-        speed *= _PER_RADIAN if axis.parameters.unit == "rad" else 1.0
+    for speed in _SPEEDS[axis.parameters.unit]:
         own, both = earned_after(scene, axis, speed)
-        if both is not None and own is not None:
-            text = f"a hand moves at {speed:g} {unit} and earns for both sides, the other one at rest; this side"
-            text += f" alone has earned its start after {si(own, 's', 3)}; then the coupling fades in"
+        if both is not None:
+            text = f"a hand moves at {speed:g} {unit} and earns for both sides, the other one at rest; this side alone"
+            text += f" has earned its start after {si(own or both, 's', 3)}; a packet later the coupling fades in"
             return LinkFigure("time to close", both, "s", text + idle)
         idle += f"; at {speed:g} {unit} not within {_LONGEST:g} s"
-    text = "a hand moves steadily and the other side is at rest"
     ways = "; declare device_damping or device_friction, less hand_push, or more drag"
-    return LinkFigure("time to close", None, "s", text + idle + ways)
+    return LinkFigure("time to close", None, "s", f"a hand moves steadily, the other side is at rest{idle}{ways}")
 
 
 def earned_after(scene: Scene, axis: AxisScene, speed: float) -> tuple[float | None, float | None]:
@@ -85,9 +75,8 @@ def earned_after(scene: Scene, axis: AxisScene, speed: float) -> tuple[float | N
         speed: Speed of the hand [m/s or rad/s].
     """
     port, time, count = build_far_port(scene, axis), axis.loop.sample_time, axis.loop.encoder_count
-    state, settings, queue = port.state, port.settings, [0.0] * (1 + axis.loop.delay)
+    state, settings, queue, own = port.state, port.settings, [0.0] * (1 + axis.loop.delay), None
     state.linked, state.wanted = True, settings.level / PICO
-    own = None
     for hold in range(round(_LONGEST / time)):
         position = speed * time * hold
         balance = port.step(count * round(position / count) if count else position, queue[0])
@@ -99,32 +88,29 @@ def earned_after(scene: Scene, axis: AxisScene, speed: float) -> tuple[float | N
     return own, None
 
 
-def _of_spring(stiffness: float, damping: float, trip: float, axis: AxisScene) -> list[LinkFigure]:
+def _of_spring(coupling: Coupling, trip: float, axis: AxisScene) -> list[LinkFigure]:
     """Return drag and touch of a spring to the position of the other rig."""
-    motion, speed = axis.parameters.unit, _SPEEDS[0] * (_PER_RADIAN if axis.parameters.unit == "rad" else 1.0)
-    most = f"a round trip above {si(SWINGS * damping / stiffness, 's', 3)} swings ({SWINGS:g} x damping / stiffness)"
+    stiffness, motion = coupling.stiffness, axis.parameters.unit
+    speed, unit = _SPEEDS[motion][0], stiffness_unit(motion)
+    text = "stiffness x round trip, for each ms of it, as no far_network is declared"
     if trip:
-        text = f"stiffness x round trip of {si(trip, 's', 3)}, once linked:"
-        text += f" {stiffness * trip * speed:.3g} {effort_unit(motion)} at {speed:g} {motion}/s; {most}"
-    else:
-        text = f"stiffness x round trip, for each ms of it, as no far_network is declared; {most}"
-    unit = stiffness_unit(motion)
+        text = f"stiffness x round trip of {si(trip, 's', 3)}, once linked: {stiffness * trip * speed:.3g}"
+        text += f" {effort_unit(motion)} at {speed:g} {motion}/s"
+    text += f"; a round trip above {si(SWINGS * coupling.damping / stiffness, 's', 3)} swings"
     felt = f"k k_e / (k + k_e) at rest, the same coupling on both sides: {si(0.5 * stiffness, unit, 3)} where k_e = k"
-    return [
-        LinkFigure("drag in free motion", stiffness * (trip or _MILLI), damping_unit(motion), text),
-        LinkFigure("felt at the first touch, at most", stiffness, unit, f"{felt}; a round trip later"),
-        LinkFigure("felt at the second touch, at most", stiffness, unit, "the same, and as late"),
-    ]
+    drag = LinkFigure("drag in free motion", stiffness * (trip or 1e-3), damping_unit(motion), text)
+    return [drag, *_touches(stiffness, unit, f"{felt}; a round trip later", "the same, and as late")]
 
 
-def _of_model(stiffness: float, damping: float, trip: float, axis: AxisScene) -> list[LinkFigure]:
+def _of_model(coupling: Coupling, trip: float, axis: AxisScene) -> list[LinkFigure]:
     """Return drag and touch of a wall that the other rig finds."""
-    motion, unit = axis.parameters.unit, stiffness_unit(axis.parameters.unit)
-    late = f" of {si(trip, 's', 3)}" if trip else ""
-    first = f"a round trip{late} later; the wall starts at the hand and moves to its place as the tank pays or the hand"
-    first += " leaves"
-    return [
-        LinkFigure("drag in free motion", 0.0, damping_unit(motion), "but for `drag` while a side lacks energy"),
-        LinkFigure("felt at the first touch, at most", stiffness, unit, first),
-        LinkFigure("felt from the second touch on, at most", stiffness, unit, "at once, as far as the tank pays it"),
-    ]
+    motion, late = axis.parameters.unit, f" of {si(trip, 's', 3)}" if trip else ""
+    first = f"a round trip{late} later; the wall starts at the hand and moves to its place as the tank pays or as the"
+    drag = LinkFigure("drag in free motion", 0.0, damping_unit(motion), "but for `drag` while a side lacks energy")
+    then = "at once, as far as the tank pays it"
+    return [drag, *_touches(coupling.stiffness, stiffness_unit(motion), f"{first} hand leaves", then)]
+
+
+def _touches(stiffness: float, unit: str, first: str, then: str) -> list[LinkFigure]:
+    of = (("felt at the first touch, at most", first), ("felt from the second touch on, at most", then))
+    return [LinkFigure(what, stiffness, unit, text) for what, text in of]

@@ -264,22 +264,17 @@ def _state(far: Mapping[str, float]) -> str:
     return f"{state or 'no link: no authentic packet came'}; {si(far['under_way'], 'J', 2)} under way"
 
 
-def link_status(summary: Callable[[], Any]) -> Callable[[], str]:
-    """Return what tells the state of a link in a few words, and whether the far side limited it since told before.
+def link_status(summary: Callable[[], Any]) -> Iterator[str]:
+    """Yield at each call the state of a link in a few words, and whether the far side limited it since told before.
 
     Args:
         summary: Returns the summary of the link so far.
     """
     before = 0
-
-    def status() -> str:
-        nonlocal before
+    while True:
         far: Mapping[str, float] = summary()._asdict()
-        now, last = int(far["cut"] + far["limited"]), before
-        before = now
-        return _state(far) + "; limited_by: far" * (now > last)
-
-    return status
+        told, before = before, int(far["cut"] + far["limited"])
+        yield _state(far) + "; limited_by: far" * (before > told)
 
 
 def pair_lines(result: Result) -> Iterator[RenderableType]:

@@ -29,7 +29,7 @@ def test_check_says_reserve_time_drag_and_what_is_felt(capsys):
     # 0.4 of the level for a start, and half of it is kept before any is sent; earned by 4 N*s/m at 0.1 m/s
     assert earned_after(scene, scene.axes[0], 0.1)[0] == pytest.approx(0.4 * 0.015 / 0.04, rel=0.1)
     assert said["time to close"] == pytest.approx(0.9 * 0.015 / 0.04, rel=0.1)
-    assert said["felt at the second touch, at most"] == 1000.0
+    assert said["felt from the second touch on, at most"] == 1000.0
 
 
 def test_check_says_what_is_not_known_and_what_a_model_renders(monkeypatch):
@@ -64,7 +64,7 @@ def test_the_screen_names_the_far_side_while_it_limits():
     scene = load_scene(HAND)
     assert scene.far is not None
     side = FarSide(scene.far, build_far_port(scene, scene.axes[0]), 0, Nowhere())
-    status = link_status(side.summary)
+    status = link_status(side.summary).__next__
     assert "limited_by" not in status()
     side.limited += 2
     assert status().endswith("; limited_by: far")
