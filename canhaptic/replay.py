@@ -20,6 +20,7 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.can.bus_cycle import can_buses
+from canhaptic.drive.can.door import open_bus, private_channel
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.pdo_map import choose_map, codec
 from canhaptic.drive.can.servo_drive import ServoDrive
@@ -35,7 +36,7 @@ from canhaptic.logs.decoder import BusDecoder
 from canhaptic.logs.text_lines import SkippedKind
 from canhaptic.result import RunResult, run_result
 from canhaptic.scene import parts
-from canhaptic.scene.build import build_loss_meters, open_bus, private_channel
+from canhaptic.scene.build import build_loss_meters
 from canhaptic.scene.models import Scene
 from canhaptic.scene.scene_logs import Channels, describe_nodes
 

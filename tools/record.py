@@ -17,6 +17,7 @@ from can.interfaces.virtual import VirtualBus
 
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.can.bus_cycle import can_buses
+from canhaptic.drive.can.door import private_channel
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
@@ -24,7 +25,7 @@ from canhaptic.errors import CanHapticError
 from canhaptic.logs.bus_reader import Frame, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
 from canhaptic.logs.writer_process import BusLogWriter
-from canhaptic.scene.build import build, private_channel
+from canhaptic.scene.build import build
 from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene

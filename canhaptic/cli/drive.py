@@ -14,9 +14,8 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError, LinkError
 from canhaptic.host.realtime import Realtime
 from canhaptic.host.stop_signal import StopSignal
-from canhaptic.scene.build import open_bus
 from canhaptic.scene.buses import PLACES, kind_of, part
-from canhaptic.scene.far_side import build_cable, build_drive_group, with_effects
+from canhaptic.scene.far_side import build_far_end, with_effects
 from canhaptic.scene.models import NamedBus, Scene
 from canhaptic.view.terminal import write_note
 
@@ -53,18 +52,17 @@ def _far_end(scene: Scene, place: int, stack: ExitStack) -> tuple[Any, Any]:
     """Open one bus of the scene; return what frames come from, and what they go to: its simulated drives."""
     name, parameters = scene.buses[place]
     if kind_of(parameters) != "can":
-        cable, _ = build_cable(scene, name)
+        cable, _ = build_far_end(scene, name)
         cable.use(WallClock(spin_margin=0.0))
         line = part(kind_of(parameters), "served")(cable, parameters.interface)
         stack.callback(line.shutdown)
         return line, line
-    bus = open_bus(parameters, parameters.channel)
-    stack.callback(bus.shutdown)
+    bus = part("can", "open")(parameters, stack)
     if (faulty_bus := with_effects(bus, scene, "drive", place)) is not None:
         bus = faulty_bus
         stack.callback(faulty_bus.shutdown)
         faulty_bus.use(WallClock(spin_margin=0.0))
-    return bus, build_drive_group(scene, bus, name)
+    return bus, build_far_end(scene, name, bus)[0]
 
 
 def _names(scene: Scene, bus: NamedBus) -> str:

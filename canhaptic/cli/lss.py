@@ -4,11 +4,11 @@ import argparse
 
 from canhaptic.cli.commission import dialogue_of
 from canhaptic.cli.options import scene_of
+from canhaptic.drive.can.door import open_bus
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.lss import give_node_id
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError
-from canhaptic.scene.build import open_bus
 
 _LARGEST_NODE_ID = 127
 

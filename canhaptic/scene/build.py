@@ -6,16 +6,12 @@
 Nothing is sent before `run`. Each axis and each group is a port with an energy account of its own.
 """
 
-import itertools
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from math import inf
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Literal, Self, TypeAlias, cast
-
-import can
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, cast
 
 from canhaptic.axis_units import effort_unit, uses_degrees
 from canhaptic.control.axis_meter import AxisMeter
@@ -25,28 +21,20 @@ from canhaptic.control.verdict import GUARANTEEING, PortResult
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.bus_cycle import BusCycle
-from canhaptic.drive.can.bus_cycle import can_buses
-from canhaptic.drive.can.link import Link
-from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CanHapticError, InputError, cause_of
-from canhaptic.host.interfaces import opening_error
-from canhaptic.registry import load
 from canhaptic.result import RunResult, run_result
-from canhaptic.scene.buses import kind_of, part
+from canhaptic.scene.buses import BUSES, kind_of, part
 from canhaptic.scene.models import FAR, AxisScene, Scene
-from canhaptic.scene.parts import (
-    build_axis_meters,
-    build_ethercat_drive,
-    build_ports,
-    build_servo_drive,
-    require_torque_axis,
-)
+from canhaptic.scene.parts import build_axis_meters, build_ports, build_servo_drive, require_torque_axis
 from canhaptic.signals import SimulatedPeer, Truth
 
 if TYPE_CHECKING:
+    import can
+
+    from canhaptic.drive.can.link import Link
     from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
     from canhaptic.far.parameters import FarParameters
     from canhaptic.far.side import FarSide, Transport
@@ -59,44 +47,6 @@ if TYPE_CHECKING:
     from canhaptic.sim.drive.can.drive_node import DriveGroup, Drives, SimulatedDrive
     from canhaptic.sim.drive.ethercat.cable import Cable
     from canhaptic.sim.plant.plant import Plant
-
-_ECHOING: Final = frozenset({"udp_multicast"})  # interfaces that return sent frames, with any setting
-_PRIVATE: Final = itertools.count()
-
-
-def private_channel() -> str:
-    """Return a channel of the virtual interface that is unused in this process."""
-    return f"canhaptic-{os.getpid()}-{next(_PRIVATE)}"
-
-
-def _with_channel(bus: CanBusParameters) -> CanBusParameters:
-    is_complete = kind_of(bus) != "can" or bus.channel is not None or bus.interface != "virtual"
-    return bus if is_complete else bus.model_copy(update={"channel": private_channel()})
-
-
-def echoes(bus: CanBusParameters) -> bool:
-    """Return whether the interface returns the frames sent through it."""
-    return bus.interface in _ECHOING or bool(bus.options.get("receive_own_messages"))
-
-
-def open_bus(bus: CanBusParameters, channel: str | int | None) -> can.BusABC:
-    """Return one connection to the bus.
-
-    Raises:
-        InputError: python-can has no such interface, lacks its driver or library, or refuses an option.
-        LinkError: The interface is there but cannot be opened: no such channel, no device, no permission.
-    """
-    if bus.interface == "virtual" and channel is not None and not bus.options:
-        from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
-
-        return LeanVirtualBus(channel)
-    options: dict[str, Any] = {"bitrate": bus.bitrate, **bus.options}
-    if bus.interface == "virtual":
-        options = {"preserve_timestamps": True, **bus.options}
-    try:
-        return can.Bus(interface=bus.interface, channel=channel, **options)
-    except Exception as error:  # backends pass on any exception of their driver library
-        raise opening_error(bus, channel, error) from error
 
 
 def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
@@ -167,15 +117,13 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
     return notes
 
 
-def _opened(named: Sequence[CanBusParameters], stack: ExitStack) -> list[can.BusABC | None]:
-    """Return one connection to each CAN bus, closed with the stack; None for a line of another kind."""
-    buses: list[can.BusABC | None] = []
-    for of in named:
-        bus = open_bus(of, of.channel) if kind_of(of) == "can" else None
-        buses.append(bus)
-        if bus is not None:
-            stack.callback(bus.shutdown)
-    return buses
+def _with_channel(bus: CanBusParameters) -> Any:
+    return part(kind, "named")(bus) if "named" in BUSES[kind := kind_of(bus)] else bus
+
+
+def _opened(named: Sequence[CanBusParameters], stack: ExitStack) -> "list[can.BusABC | None]":
+    """Return one connection to each bus, closed with the stack; None for a line, which has no end of its own."""
+    return [part(kind, "open")(of, stack) if "open" in BUSES[kind := kind_of(of)] else None for of in named]
 
 
 def _simulated_side(
@@ -184,21 +132,16 @@ def _simulated_side(
     """Return the simulated drives of each bus, and of all buses in the order of the axes; none with real drives."""
     if not scene.simulated:
         return [], None
-    from canhaptic.scene.far_side import build_cable, build_drive_group
+    from canhaptic.scene.far_side import build_far_end
     from canhaptic.sim.drive.can.drive_node import AllDrives
 
-    groups, drives = list["DriveGroup | Cable"](), dict[str, "Iterator[SimulatedDrive]"]()
+    groups, drives = list[Any](), dict[str, "Iterator[SimulatedDrive]"]()
     for bus, of in zip(_opened(named, stack), scene.buses, strict=True):
-        if bus is None:
-            cable, on_line = build_cable(scene, of.name)
-            groups.append(cable)
-            drives[of.name] = cast("Iterator[SimulatedDrive]", iter(on_line))
-            continue
-        group = build_drive_group(scene, bus, of.name)
-        if not scene.further_buses:
-            return [group], group
+        group, on_bus = build_far_end(scene, of.name, bus)
         groups.append(group)
-        drives[of.name] = iter(group.drives)
+        drives[of.name] = iter(on_bus)
+    if not scene.further_buses and kind_of(scene.bus) == "can":
+        return groups, groups[0]
     return groups, AllDrives(tuple(next(drives[axis.bus]) for axis in scene.axes))
 
 
@@ -215,10 +158,6 @@ def _faulty_buses(scene: Scene, buses: "Sequence[can.BusABC | None]", stack: Exi
 ToFar: TypeAlias = "tuple[Transport, Callable[[], int] | None]"
 """What carries packets to a far side, and the random numbers of its sessions; None: of the system."""
 _Pace = Literal["real", "free"]
-_FRAME_LOGS: Final = {
-    "new": "canhaptic.logs.frame_log:FrameLog",
-    "tap": "canhaptic.logs.tap:Tap",
-}  # imported only for a line that is logged
 
 
 class Experiment:
@@ -261,11 +200,11 @@ class Experiment:
             self.clock = clock = _build_clock(pace, scene.bus.spin_margin, groups, faulty)
             self._open_logs(energy_log, bus_log, meters, stack, dry_run=no_torque)
             records = [self.bus_log.on(n) if self.bus_log else None for n in range(len(buses))]
+            cables = [self._logged(group, recorded) for group in groups] or [None] * len(buses)
+            ends = [faulty.get(n, bus) or cables[n] for n, bus in enumerate(buses)]
             links = [
-                self._line(named[n], groups[n] if groups else None, recorded, stack)
-                if bus is None
-                else Link(faulty.get(n, bus), clock, records[n], echoes=echoes(named[n]))
-                for n, bus in enumerate(buses)
+                part(kind_of(of), "line")(end, clock, of, stack, record)
+                for of, end, record in zip(named, ends, records, strict=True)
             ]
             if self.energy_log is not None:
                 self.energy_log.clock = next((lock for of in links if (lock := getattr(of, "lock", None))), None)
@@ -304,19 +243,13 @@ class Experiment:
             self.energy_log = open_energy_log(scene, meters, energy_log, pace, lose, dry_run=dry_run)
             stack.callback(self.energy_log.close, "failed")
         if bus_log and kind_of(scene.bus) != "can" and not scene.simulated:
-            self.tap = load(_FRAME_LOGS, "tap", "log")(scene.bus.interface, bus_log)
+            self.tap = part(kind_of(scene.bus), "tap")(scene.bus.interface, bus_log)
             stack.callback(self.tap.close)
         elif bus_log and kind_of(scene.bus) != "can":
-            self.frame_log = stack.enter_context(load(_FRAME_LOGS, "new", "log")(bus_log))
+            self.frame_log = stack.enter_context(part(kind_of(scene.bus), "frame_log")(bus_log))
         elif bus_log:
             self.bus_log = open_bus_log(scene, bus_log, pace, lose)
             stack.callback(self.bus_log.close)
-
-    def _line(self, bus: Any, cable: Any, recorded: "Sequence[LoggedFrame] | None", stack: ExitStack) -> Any:
-        """Return an EtherCAT line: of simulated drives on a cable, or without one of those behind its interface."""
-        if cable is None:
-            return part("ethercat", "wire")(bus, self.clock, stack)
-        return part("ethercat", "line")(self._logged(cable, recorded), self.clock, bus)
 
     def _logged(self, line: Any, recorded: "Sequence[LoggedFrame] | None") -> Any:
         """Return what carries the frames of a line: it, with a log of them, or a log of them in its place."""
@@ -535,19 +468,13 @@ def _build_clock(
 
 def _build_rig(scene: Scene, links: "Sequence[Link | EthercatBusCycle]", *, dry_run: bool) -> Rig:
     by_name = {bus.name: (link, bus.parameters) for bus, link in zip(scene.buses, links, strict=True)}
-    drives: list[TorqueAxis] = []
-    for axis in scene.axes:
-        link, bus = by_name[axis.bus]
-        if isinstance(link, Link):
-            drives.append(build_servo_drive(axis, link, bus, dry_run=dry_run))
-        else:
-            drives.append(build_ethercat_drive(axis, link, dry_run=dry_run))
+    drives: list[TorqueAxis] = [build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
     for drive, axis in zip(drives, scene.axes, strict=True):
         drive.hold = scene.hold_of(axis)
     buses: list[BusCycle] = []
-    on_can = [drive for drive in drives if isinstance(drive, ServoDrive)]
-    for of, link in zip(scene.buses, links, strict=True):
-        buses += can_buses(link, on_can, of.parameters) if isinstance(link, Link) else [link]
+    for name, (link, bus) in by_name.items():
+        on_bus = [drive for drive, axis in zip(drives, scene.axes, strict=True) if axis.bus == name]
+        buses += part(kind_of(bus), "cycles")(link, on_bus, bus)
     return Rig(buses, drives, scene.bus, scene.group_places)
 
 

@@ -15,20 +15,29 @@ BUSES: Final = {
     "can": {
         "bus": "canhaptic.drive.axis_parameters:CanBusParameters",
         "axis": "canhaptic.drive.axis_parameters:AxisParameters",
+        "named": "canhaptic.drive.can.door:with_channel",
+        "open": "canhaptic.drive.can.door:opened",
+        "line": "canhaptic.drive.can.door:link_on",
+        "drive": "canhaptic.drive.can.door:drive_on",
+        "cycles": "canhaptic.drive.can.bus_cycle:can_buses",
+        "simulated_drive": "canhaptic.sim.drive.can.door:drive_on",
+        "simulated": "canhaptic.sim.drive.can.door:group_of",
     },
     "ethercat": {
         "bus": "canhaptic.drive.ethercat.parameters:EthercatBusParameters",
         "axis": "canhaptic.drive.ethercat.parameters:EthercatAxisParameters",
         "findings": "canhaptic.drive.ethercat.image_map:image_findings",
         "line": "canhaptic.drive.ethercat.door:line_on",
-        "wire": "canhaptic.drive.ethercat.door:line_on_wire",
-        "drive": "canhaptic.drive.ethercat.servo_drive:EthercatDrive",
-        "display": "canhaptic.drive.ethercat.display_drive:EthercatDisplay",
+        "drive": "canhaptic.drive.ethercat.door:drive_on",
+        "cycles": "canhaptic.drive.ethercat.door:cycles_of",
+        "simulated_drive": "canhaptic.sim.drive.ethercat.door:drive_on",
         "simulated": "canhaptic.sim.drive.ethercat.door:cable_of",
+        "frame_log": "canhaptic.logs.frame_log:FrameLog",
+        "tap": "canhaptic.logs.tap:Tap",
         "served": "canhaptic.sim.drive.ethercat.served_line:ServedLine",
     },
 }
-"""Kind of bus -> its part -> "module:name". The drives of CAN are made by `scene.build`."""
+"""Kind of bus -> its part -> "module:name"; `named`, `open`, `frame_log`, `tap` and `served` not for every kind."""
 DICTIONARIES: Final = {"can": "eds", "ethercat": "esi"}
 """Kind of bus -> key of an axis that names the file of its drive's objects."""
 PLACES: Final = {"can": "node_id", "ethercat": "position"}

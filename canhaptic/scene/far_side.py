@@ -12,25 +12,24 @@ from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, cast
 
-import can
-
 from canhaptic.drive.profile.quirks import TWINS
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.registry import load
+from canhaptic.scene.buses import kind_of, part
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, SourceLocation
 from canhaptic.scene.models import SCALING_KEYS, SIMULATION_PARTS, AxisScene, AxisSimulation, MechanismScene, Scene
 from canhaptic.units import Parameters, Unit
 
 if TYPE_CHECKING:
+    import can
+
     from canhaptic.control.axis_meter import Accuracy
     from canhaptic.control.passivity import LoopProperties
-    from canhaptic.drive.axis_parameters import CanBusParameters
+    from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
     from canhaptic.sim.bus.faulty_bus import BusEffects, FaultyBus
     from canhaptic.sim.drive import SimulatedDriveParameters
     from canhaptic.sim.drive.can.drive_node import DriveGroup
-    from canhaptic.sim.drive.ethercat.cable import Cable
-    from canhaptic.sim.drive.ethercat.drive_node import EthercatDrive
     from canhaptic.sim.drive.profile.servo import Motor
     from canhaptic.sim.plant.effects import Effect
     from canhaptic.sim.plant.mechanism import Mechanism, MechanismMotor, MechanismParameters
@@ -95,7 +94,9 @@ def _shared_motors(mechanisms: Sequence[MechanismScene], sample_time_ns: int) ->
     return motors
 
 
-def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"], index: int = 0) -> "FaultyBus | None":
+def with_effects(
+    bus: "can.BusABC", scene: Scene, side: Literal["master", "drive"], index: int = 0
+) -> "FaultyBus | None":
     """Return a connection with the simulated faults of its bus; None for an ideal bus.
 
     Args:
@@ -113,7 +114,7 @@ def with_effects(bus: can.BusABC, scene: Scene, side: Literal["master", "drive"]
     return FaultyBus(bus, effects, bitrate=parameters.bitrate, seed=seed, side=side)
 
 
-def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) -> "DriveGroup":
+def build_drive_group(scene: Scene, bus: "can.BusABC", name: str | None = None) -> "DriveGroup":
     """Return the simulated drives of a scene on one connection to the bus.
 
     Args:
@@ -124,60 +125,51 @@ def build_drive_group(scene: Scene, bus: can.BusABC, name: str | None = None) ->
     Raises:
         InputError: The scene has no `simulation`.
     """
-    from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
-
-    def made(axis: AxisScene, motor: "Motor", drive: "SimulatedDriveParameters", period: int) -> SimulatedDrive:
-        return SimulatedDrive(bus, axis.parameters.node_id, axis.parameters.eds, motor, drive, period)
-
-    return DriveGroup(bus, _drives_of(scene, name, made))
+    group: DriveGroup = build_far_end(scene, name, bus)[0]
+    return group
 
 
-def build_cable(scene: Scene, name: str) -> "tuple[Cable, list[EthercatDrive]]":
-    """Return the cable of a simulated EtherCAT line, and its drives in the order of their axes.
+def build_far_end(scene: Scene, name: str | None, bus: "can.BusABC | None" = None) -> tuple[Any, Sequence[Any]]:
+    """Return the simulated drives of one bus together (`DriveGroup`, `Cable`), and each in the order of their axes.
 
     Args:
         scene: Scene with a `simulation`.
-        name: Name of the line.
+        name: Name of the bus; None for the only one.
+        bus: Connection to a CAN bus.
 
     Raises:
+        InputError: The scene has no `simulation`.
         ParameterError: A simulated drive cannot be made.
     """
-    from canhaptic.sim.drive.ethercat.door import DriveOnCable, cable_of
-
     if scene.accuracy_tolerance is not None:
         scene = with_accuracy(scene)
-    plans = _drives_of(scene, name, lambda axis, motor, drive, _: DriveOnCable(
-        getattr(axis.parameters, "position", 0), axis.parameters.dictionary(), motor, drive
-    ))  # fmt: skip
+    kind = kind_of(dict(scene.buses).get(name or "", scene.bus))
     seed = 0 if scene.simulation is None else scene.simulation.seed
-    cable, drives = cable_of(plans, scene.bus.sample_time_ns, scene.cable_effects, seed)
-    for plan, drive in zip(plans, drives, strict=True):
-        if (connect := getattr(plan.motor, "connect", None)) is not None:
+    plans = _drives_of(scene, name, partial(part(kind, "simulated_drive"), bus))
+    group, drives = part(kind, "simulated")(bus, plans, scene.bus.sample_time_ns, scene.cable_effects, seed)
+    for drive in drives:
+        if (connect := getattr(drive.servo.motor, "connect", None)) is not None:
             connect(partial(getattr, drive.servo, "torque"))
-    return cable, drives
+    return group, drives
 
 
 def _drives_of(
-    scene: Scene, name: str | None, made: "Callable[[AxisScene, Motor, SimulatedDriveParameters, int], _Made]"
+    scene: Scene, name: str | None, made: "Callable[[AxisParameters, Motor, SimulatedDriveParameters, int], _Made]"
 ) -> "list[_Made]":
     """Return what `made` makes of each axis on a bus, its motor, the parameters of its drive and the sample time [ns].
 
     Raises:
         InputError: The scene has no `simulation`.
     """
-    if scene.accuracy_tolerance is not None:
-        scene = with_accuracy(scene)
     period, drives = scene.bus.sample_time_ns, list["_Made"]()
     motors = _shared_motors(scene.mechanisms, period) if scene.mechanisms else {}
     for axis in (axis for axis in scene.axes if name in (None, axis.bus)):
+        of = axis.parameters
         try:
             if axis.simulation is not None:
-                drives.append(made(axis, build_plant(axis.simulation, period), axis.simulation.drive, period))
+                drives.append(made(of, build_plant(axis.simulation, period), axis.simulation.drive, period))
             elif axis.simulated_drive is not None:
-                motor = motors[axis.parameters.name]
-                drives.append(made(axis, motor, axis.simulated_drive, period))
-                if (servo := getattr(drives[-1], "servo", None)) is not None:
-                    motor.connect(partial(getattr, servo, "torque"))
+                drives.append(made(of, motors[of.name], axis.simulated_drive, period))
         except ParameterError as error:
             raise ParameterError(f"{scene.source}: simulation.drive of {axis.parameters.name}: {error}") from error
     if not drives:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from math import inf
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
@@ -11,11 +11,9 @@ from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import Controller, LoopProperties, build_controller
 from canhaptic.control.ports import Port
 from canhaptic.drive.axis_parameters import CanBusParameters
-from canhaptic.drive.can.link import Link
-from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.registry import load
-from canhaptic.scene.buses import part
+from canhaptic.scene.buses import kind_of, part
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import FAR, AxisScene, GroupScene, Scene
 from canhaptic.units import Parameters
@@ -24,8 +22,8 @@ if TYPE_CHECKING:
     from canhaptic.control.mechanisms.kinematics import Kinematics
     from canhaptic.control.motion_checks import FrictionDeclared
     from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
+    from canhaptic.drive.can.link import Link
     from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
-    from canhaptic.drive.ethercat.servo_drive import EthercatDrive
     from canhaptic.far.parameters import FarParameters
     from canhaptic.far.port import FarPort
 
@@ -218,38 +216,33 @@ def check_group(group: GroupScene) -> None:
         raise ParameterError(f"{text}, expected the {len(group.axes)} of the group: {', '.join(group.axes)}")
 
 
-def build_ethercat_drive(axis: AxisScene, line: "EthercatBusCycle", *, dry_run: bool = False) -> "EthercatDrive":
-    """Return the master's image of the drive of one axis on an EtherCAT line; raise DictionaryError."""
-    if dry_run:
-        require_torque_axis(axis)
-    known, is_display = axis.parameters, axis.parameters.admittance is not None
-    if not is_display:
-        known = known.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
-    kind: type[EthercatDrive] = part("ethercat", "display" if is_display else "drive")
-    late = 0.0 if is_display else lateness_of(axis)
-    return kind(line, known, known.dictionary(), dry_run=dry_run, lateness=late)  # type: ignore[arg-type]
-
-
 def lateness_of(axis: AxisScene) -> float:
     """Return the longest time from a hold's begin until its torque has settled [s]."""
     return (axis.loop.torque_window or 0.0) + _SETTLED * (axis.loop.current_lag or 0.0)
 
 
-def build_servo_drive(axis: AxisScene, link: Link, bus: CanBusParameters, *, dry_run: bool = False) -> ServoDrive:
-    """Return the master's image of the drive of one axis.
+def build_servo_drive(
+    axis: AxisScene, line: "Link | EthercatBusCycle", bus: CanBusParameters, *, dry_run: bool = False
+) -> Any:
+    """Return the master's image of the drive of one axis, of the kind of its bus.
+
+    Args:
+        axis: The axis.
+        line: The master's end of the bus.
+        bus: Parameters of the bus.
+        dry_run: Whether the torque sent is always 0.
 
     Raises:
+        DictionaryError: The drive's dictionary cannot be used.
         InputError: A dry run of an admittance display.
     """
-    dictionary = axis.parameters.dictionary()
+    known, dictionary = axis.parameters, axis.parameters.dictionary()
     if dry_run:
         require_torque_axis(axis)
-    if axis.parameters.admittance is None:
-        known = axis.parameters.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
-        return ServoDrive(link, known, dictionary, bus, dry_run=dry_run, lateness=lateness_of(axis))
-    from canhaptic.drive.can.admittance_drive import AdmittanceDrive
-
-    return AdmittanceDrive(link, axis.parameters, dictionary, bus)
+    if known.admittance is None:
+        known = known.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
+    drive_on = part(kind_of(bus), "drive")
+    return drive_on(line, known, dictionary, bus, dry_run=dry_run, lateness=lateness_of(axis))
 
 
 def require_torque_axis(axis: AxisScene) -> None:

@@ -15,8 +15,9 @@ from canhaptic.cli import drive as drive_command
 from canhaptic.cli.main import main
 from canhaptic.cli.options import seconds
 from canhaptic.cycle import run
+from canhaptic.drive.can.door import open_bus
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.scene.build import build, open_bus
+from canhaptic.scene.build import build
 from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.load import load_scene
 from canhaptic.view.terminal import RunProgress

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from canhaptic.cycle import run
 from canhaptic.drive.axis_parameters import CanBusParameters
+from canhaptic.drive.can.door import open_bus
 from canhaptic.errors import CanHapticError
-from canhaptic.scene.build import build, open_bus
+from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drawn import examples

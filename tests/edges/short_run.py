@@ -14,9 +14,10 @@ from unittest.mock import patch
 import can
 
 from canhaptic.canopen.objects import NmtState
+from canhaptic.drive.can.door import open_bus
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import CanHapticError
-from canhaptic.scene.build import Experiment, build, open_bus
+from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 from canhaptic.sim.drive.can.drive_node import SimulatedDrive
@@ -181,7 +182,7 @@ def pressed(
         return ends[-1]
 
     with ExitStack() as stack:
-        with patch("canhaptic.scene.build.open_bus", opened):
+        with patch("canhaptic.drive.can.door.open_bus", opened):
             experiment = build(scene, "free", energy_log, bus_log)
         stack.callback(_closed, experiment)
         other = LeanVirtualBus(scene.bus.channel)

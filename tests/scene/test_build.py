@@ -9,10 +9,11 @@ import pytest
 
 from canhaptic.cycle import run
 from canhaptic.drive.axis_parameters import CanBusParameters
+from canhaptic.drive.can.door import open_bus, private_channel
 from canhaptic.drive.clock import VirtualClock, WallClock
 from canhaptic.errors import InputError, LinkError, ParameterError, RigError
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.scene.build import build, open_bus, private_channel, require_buildable
+from canhaptic.scene.build import build, require_buildable
 from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.load import load_scene

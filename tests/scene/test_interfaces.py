@@ -102,7 +102,7 @@ def test_an_unknown_interface_is_refused_with_the_nearest() -> None:
 
 @pytest.mark.parametrize("name", sorted(set(BACKENDS) - {"virtual", "udp_multicast"}))
 def test_an_interface_without_driver_or_device_gives_one_error_of_ours(name: str) -> None:
-    from canhaptic.scene.build import open_bus
+    from canhaptic.drive.can.door import open_bus
 
     with pytest.raises(CanHapticError) as caught:
         open_bus(bus(interface=name), "nowhere0")

@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import Any
 
 from canhaptic.drive.clock import WallClock
-from canhaptic.scene.far_side import build_cable
+from canhaptic.scene.far_side import build_far_end
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.ethercat.drive_node import EthercatDrive
 from canhaptic.sim.drive.ethercat.served_line import ServedLine
@@ -71,7 +71,7 @@ class Watch:
 
 def serve(interface: str, scene_file: str, *overrides: str) -> None:
     scene = load_scene(scene_file, overrides)
-    cable, drives = build_cable(scene, scene.bus_name)
+    cable, drives = build_far_end(scene, scene.bus_name)
     clock = WallClock(spin_margin=0.0)
     cable.use(clock)
     line = ServedLine(cable, interface)

@@ -20,10 +20,11 @@ from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.control.ports import axis_ports
 from canhaptic.cycle import Cycle, run
 from canhaptic.drive.can.bus_cycle import can_buses
+from canhaptic.drive.can.door import open_bus, private_channel
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import ProcessorClock, VirtualClock
 from canhaptic.drive.rig import Rig
-from canhaptic.scene.build import build, open_bus, private_channel
+from canhaptic.scene.build import build
 from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_servo_drive

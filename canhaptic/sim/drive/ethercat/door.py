@@ -2,7 +2,7 @@
 
 import random
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from canhaptic.canopen.objects import Dictionary
 from canhaptic.sim.drive import SimulatedDriveParameters
@@ -22,12 +22,18 @@ class DriveOnCable(NamedTuple):
     parameters: SimulatedDriveParameters
 
 
+def drive_on(_: object, axis: Any, motor: Motor, drive: SimulatedDriveParameters, *_more: object) -> DriveOnCable:
+    """Return what the simulated drive of an axis is made of, at its position and with its dictionary."""
+    return DriveOnCable(axis.position, axis.dictionary(), motor, drive)
+
+
 def cable_of(
-    drives: Sequence[DriveOnCable], sample_time_ns: int, effects: CableEffects | None, seed: int
+    _: object, drives: Sequence[DriveOnCable], sample_time_ns: int, effects: CableEffects | None, seed: int
 ) -> tuple[Cable, list[EthercatDrive]]:
     """Return a cable, and its drives in the order in which they were given.
 
     Args:
+        _: Not needed: a cable is a line of its own.
         drives: The drives, at positions 0 to n - 1 in any order.
         sample_time_ns: Sample time of the cycle [ns].
         effects: Faults of frames and clocks; None: none, and every clock is the host's.
