@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Final, NamedTuple, Protocol, Self
 
 from canhaptic.errors import LogFormatError, LogWriteError
+from canhaptic.files import require_regular
 
 _HEAD: Final = struct.Struct("<IHHiIII")
 _RECORD: Final = struct.Struct("<IIII")
@@ -88,6 +89,7 @@ class FrameLog:
 def is_frame_log(path: str | Path) -> bool:
     """Return whether a file begins as a log of frames does."""
     try:
+        require_regular(path)  # a pipe would never answer
         with Path(path).open("rb") as file:
             return file.read(4) == _MAGIC.to_bytes(4, "little")
     except OSError:

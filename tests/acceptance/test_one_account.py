@@ -77,7 +77,7 @@ def test_every_view_gives_the_account_of_the_run(run_and_log: tuple[dict[str, An
         for key in OF_A_PORT:
             if key in port and key in inspected["ports"][name]:
                 assert same(inspected["ports"][name][key], port[key]), (name, key)
-            if key in live[name] and "group" not in port:
+            if "group" not in port and key in live[name]:
                 assert same(live[name][key], port[key]), (name, key)
         assert inspected["truth"][name] == pytest.approx(ran["truth"][name], rel=1e-6, abs=1e-12)
     alone = {name: port for name, port in inspected["ports"].items() if "group" not in port}

@@ -59,7 +59,7 @@ def test_logs_of_a_program_recompute_rederive_and_check(tmp_path: Path, capsys: 
     for account in (ran, inspected, found["rederived"]["ports"]["handle"]):
         assert (account["dissipated"], account["damping_rendered"]) == (None, {"least": None, "most": None})
     assert math.isnan(rig.account["handle"].dissipated)
-    assert main(words[:2]) == 0
+    assert main([*words[:2], "--full"]) == 0
     shown = capsys.readouterr().out
     assert re.search(r"^ *dissipated +not known", shown, re.MULTILINE)
     assert re.search(r"^ *damping rendered +not known", shown, re.MULTILINE)

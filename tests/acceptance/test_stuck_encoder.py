@@ -36,7 +36,7 @@ def events(folder: Path, *, frozen: bool) -> list[tuple[str, str]]:
         bus.on_receive = freeze if frozen else bus.on_receive
         run(experiment.cycle, 4000)
     with EnergyLog.open(folder / "run.h5") as log:
-        return [(event.kind, event.port) for event in log.events if event.kind != "unrestored"]
+        return [(event.kind, event.port) for event in log.events if event.kind == "unchanged"]
 
 
 @pytest.mark.slow

@@ -145,6 +145,8 @@ def run_command(words: list[str], folder: Path) -> None:
     if words[0] != "canhaptic":
         assert words[0] in NOT_RUN or words[:2] == ["python", "-m"] or words[0].startswith(("python", ".venv")), words
         return
+    if "wire.pcap" in words and words[1] == "inspect":  # of an interface that is not here
+        return
     words, target = redirected(words[1:])
     words = [IN_NO_HURRY.get(word, word) for word in words]
     extra = QUICK.get(words[0], [])
@@ -153,7 +155,7 @@ def run_command(words: list[str], folder: Path) -> None:
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
         status = main([*words, *(extra if "--help" not in words else [])])
-    real = words[0] in FOR_A_REAL_RIG and any(is_real(word) or word == "bus.interface=socketcan" for word in words)
+    real = words[0] in FOR_A_REAL_RIG and any(is_real(word) or word.startswith("bus.interface=") for word in words)
     assert status in ((1, 2, 3) if real else (0,)), f"{words}: status {status}"
     if target:
         (folder / target).write_text(out.getvalue())

@@ -36,6 +36,8 @@ class ServedLine:
                 self._socket = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ETHERCAT))
                 self._socket.bind((interface, _ETHERCAT))
             except (OSError, AttributeError) as error:  # the second where it is not Linux
+                if hasattr(self, "_socket"):
+                    self._socket.close()
                 raise LinkError(capabilities.opening_objection(interface)) from error
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
         self._socket.setblocking(False)
