@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.sim.drive.can import drive_node
+from canhaptic.sim.drive.can import door
 from canhaptic.sim.drive.can.drive_node import SimulatedDrive
 from canhaptic.sim.drive.can.sdo_server import SdoServer
 from tests.acceptance.bus_frames import DEMO, assert_never_enabled, commands, read_log
@@ -21,7 +21,7 @@ def nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def drive_in_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lets the drive fail after its boot-up and before the master comes."""
-    original = drive_node.SimulatedDrive
+    original = door.SimulatedDrive
 
     def build_faulty(*arguments: Any) -> SimulatedDrive:
         drive = original(*arguments)
@@ -29,7 +29,7 @@ def drive_in_fault(monkeypatch: pytest.MonkeyPatch) -> None:
         drive.inject_fault(0x3210)
         return drive
 
-    monkeypatch.setattr(drive_node, "SimulatedDrive", build_faulty)
+    monkeypatch.setattr(door, "SimulatedDrive", build_faulty)
 
 
 def sdo_answers(request: str, answer: str) -> Prepare:
