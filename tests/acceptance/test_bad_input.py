@@ -21,7 +21,7 @@ def nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def drive_in_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lets the drive fail after its boot-up and before the master comes."""
-    original = door.SimulatedDrive
+    original = SimulatedDrive
 
     def build_faulty(*arguments: Any) -> SimulatedDrive:
         drive = original(*arguments)
