@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Dictionary
+from canhaptic.drive.ethercat.al_states import AL_STATUS
 from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
 from canhaptic.drive.ethercat.coe import CoeAccess
 from canhaptic.drive.ethercat.held_torques import SM_EVENT_MISSED, Reading
@@ -20,7 +21,6 @@ from canhaptic.errors import LinkError, RigError, SdoError
 from canhaptic.registry import load
 from canhaptic.signals import Sample
 
-AL_STATUS: Final = 0x0130
 SYSTEM_TIME: Final = 0x0910
 SYNC_ACTIVATION: Final = 0x0980
 WATCHDOG: Final = 0x0420

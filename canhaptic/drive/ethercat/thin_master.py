@@ -12,14 +12,13 @@ from typing import Any, Final, NamedTuple, Protocol
 from canhaptic.canopen.code_texts import sdo_abort_text
 from canhaptic.canopen.objects import SdoAbort
 from canhaptic.drive.clock import Clock
+from canhaptic.drive.ethercat.al_states import AL_CONTROL, AL_STATUS, ERROR, await_state, request_state
 from canhaptic.drive.ethercat.datagrams import FIRST, HEAD, TAIL, Command, Datagram, answers_of, frame_of
-from canhaptic.drive.ethercat.segment import AlError, AlState, Cycle, Emergency, FrameKind, Identity, ImageSlice
+from canhaptic.drive.ethercat.segment import AlState, Cycle, Emergency, FrameKind, Identity, ImageSlice
 from canhaptic.errors import LinkError, SdoError
 
 _STATION: Final = 0x0010
 _FEATURES: Final = 0x0008
-_AL_CONTROL: Final = 0x0120
-_AL_STATUS: Final = 0x0130
 _EEPROM_OWNER: Final = 0x0500
 _EEPROM: Final = 0x0502
 _EEPROM_DATA: Final = 0x0508
@@ -30,7 +29,6 @@ _SYSTEM_TIME: Final = 0x0910
 _LATCHED: Final = 0x0918
 _OFFSET: Final = 0x0920
 _SYNC_ACTIVATION: Final = 0x0980
-_ERROR: Final = 0x10  # bit of AL status; in AL control it acknowledges
 _HAS_CLOCK: Final = 0x04  # bit of the features
 _FIRST_STATION: Final = 0x1001
 _IDENTITY_WORD, _MAILBOX_WORD, _CATEGORIES_WORD = 0x08, 0x18, 0x40
@@ -146,7 +144,7 @@ class ThinMaster:
         """Take all drives to INIT, switch SYNC0 off, set addresses and mailboxes; return who they are."""
         self._drives, self._reference, self._sizes, self.outputs = [], None, (), bytearray()
         count = self._one(Command.READ_ALL, 0, 0, bytes(1)).counter
-        self._one(Command.WRITE_ALL, 0, _AL_CONTROL, bytes((AlState.INIT | _ERROR, 0)), count)
+        self._one(Command.WRITE_ALL, 0, AL_CONTROL, bytes((AlState.INIT | ERROR, 0)), count)
         self._one(Command.WRITE_ALL, 0, _SYNC_ACTIVATION, bytes(2))  # without counter: not every drive has a clock
         self._one(Command.WRITE_ALL, 0, _FMMUS, bytes(64), count)
         self._one(Command.WRITE_ALL, 0, _SYNC_MANAGERS, bytes(32), count)
@@ -155,7 +153,7 @@ class ThinMaster:
             self._one(Command.WRITE_AT, -place & 0xFFFF, _STATION, struct.pack("<H", station), 1)
             features = self._one(Command.READ, station, _FEATURES, bytes(1), 1).data[0]
             self._drives.append(_Drive(station, has_clock=bool(features & _HAS_CLOCK)))
-            self._await(place, AlState.INIT, _MAIL_NS)
+            await_state(self.register, self._clock, place, AlState.INIT, _MAIL_NS, _POLL_NS)
         return [self._identify(place) for place in range(count)]
 
     def _identify(self, place: int) -> Identity:
@@ -221,25 +219,7 @@ class ThinMaster:
 
     def request(self, drive: int, state: AlState, timeout_ns: int = 1_000_000_000) -> None:
         """Ask a drive for a state and return once it is there; raise AlError where it refuses or stays away."""
-        status, _ = self._al_status(drive)
-        if status & _ERROR:
-            self.register(drive, _AL_CONTROL, struct.pack("<H", status))  # acknowledges: the error bit is the same
-        self.register(drive, _AL_CONTROL, struct.pack("<H", state))
-        self._await(drive, state, timeout_ns)
-
-    def _al_status(self, drive: int) -> tuple[int, int]:
-        status, _, code = struct.unpack("<HHH", self.register(drive, _AL_STATUS, size=6))
-        return status & 0x1F, code
-
-    def _await(self, drive: int, state: AlState, timeout_ns: int) -> None:
-        end = self._clock.now() + timeout_ns
-        while True:
-            status, code = self._al_status(drive)
-            if status == state:
-                return
-            if status & _ERROR or self._clock.now() >= end:
-                raise AlError(drive, state, status, code)
-            self._clock.wait_until(min(end, self._clock.now() + _POLL_NS))
+        request_state(self.register, self._clock, drive, state, timeout_ns, _POLL_NS)
 
     # --- process image and clocks ---------------------------------------------------------------------------------
 
@@ -281,7 +261,7 @@ class ThinMaster:
         ):
             parts = (
                 Datagram(Command.SPREAD, station, _SYSTEM_TIME, bytes(8)),
-                Datagram(Command.READ_ALL, 0, _AL_STATUS, bytes(2)),
+                Datagram(Command.READ_ALL, 0, AL_STATUS, bytes(2)),
                 Datagram(kind, logical & 0xFFFF, logical >> 16, bytes(size)),
             )
             frame = bytearray(frame_of(0, parts))

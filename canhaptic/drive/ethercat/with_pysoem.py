@@ -15,19 +15,18 @@ from typing import Any, Final
 from canhaptic.canopen.code_texts import sdo_abort_text
 from canhaptic.canopen.objects import SdoAbort
 from canhaptic.drive.clock import Clock
-from canhaptic.drive.ethercat.segment import AlError, AlState, Cycle, Emergency, FrameKind, Identity, ImageSlice
+from canhaptic.drive.ethercat.al_states import request_state
+from canhaptic.drive.ethercat.segment import AlState, Cycle, Emergency, FrameKind, Identity, ImageSlice
 from canhaptic.errors import InputError, LinkError, SdoError
 from canhaptic.extras import install_hint
 from canhaptic.host import capabilities
 
 VERSION: Final = "1.1.13"
 """Version of pysoem whose private methods are known."""
-_AL_CONTROL, _AL_STATUS = 0x0120, 0x0130
 _EEPROM_OWNER: Final = 0x0500
 _FMMUS: Final = 0x0600
 _MANAGERS: Final = 0x0810  # of the process data: 2 and 3
 _SYNC_ACTIVATION: Final = 0x0980
-_ERROR: Final = 0x10  # bit of AL status; in AL control it acknowledges
 _TRIGGERS_WATCHDOG: Final = 0x40  # in the control byte of a sync manager
 _SERIAL_WORD: Final = 0x0E
 _TO_THE_DRIVE: Final = b"\x01"  # who may read the EEPROM; some drives read it on their way to PRE-OP
@@ -146,22 +145,7 @@ class PysoemSegment:
 
     def request(self, drive: int, state: AlState, timeout_ns: int = 1_000_000_000) -> None:
         """Ask a drive for a state and return once it is there; raise AlError where it refuses or stays away."""
-        status, _ = self._al_status(drive)
-        if status & _ERROR:
-            self._write(drive, _AL_CONTROL, struct.pack("<H", status))  # acknowledges: the error bit is the same
-        self._write(drive, _AL_CONTROL, struct.pack("<H", state))
-        end = self._clock.now() + timeout_ns
-        while True:
-            status, code = self._al_status(drive)
-            if status == state:
-                return
-            if status & _ERROR or self._clock.now() >= end:
-                raise AlError(drive, state, status, code)
-            self._clock.wait_until(min(end, self._clock.now() + _POLL_NS))
-
-    def _al_status(self, drive: int) -> tuple[int, int]:
-        status, _, code = struct.unpack("<HHH", self.register(drive, _AL_STATUS, size=6))
-        return status & 0x1F, code
+        request_state(self.register, self._clock, drive, state, timeout_ns, _POLL_NS)
 
     # --- process image and clocks ---------------------------------------------------------------------------------
 
