@@ -269,7 +269,7 @@ class Experiment:
         from canhaptic.far.side import CoupledLossMeter, FarSide, Nowhere, over_udp
 
         place = [axis.guard for axis in self.scene.axes].index(FAR)
-        port = self.cycle.ports[[port.row for port in self.cycle.ports].index(place)].controller
+        port = next(port.controller for port in self.cycle.ports if port.row == place)
         transport, fresh = to_far or (Nowhere() if self.pace == "free" else over_udp(far), None)
         side = FarSide(far, port, place, transport, fresh)
         cast("CoupledCycle", self.cycle).far = side

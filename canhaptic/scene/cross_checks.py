@@ -252,7 +252,7 @@ def _check_far(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> No
     from canhaptic.far.parameters import LOOPBACK, faults_of
     from canhaptic.scene.far_findings import round_trip
 
-    axis = next((axis for axis in scene.axes if axis.guard == FAR), None)
+    axis = scene.far_axis
     if axis is None or axis.group or axis.parameters.admittance is not None:
         alone = [axis.parameters.name for axis in scene.axes if not axis.group and not axis.parameters.admittance]
         text = f"got {scene.far.axis!r}, expected the name of a torque axis outside groups: {', '.join(alone)}"

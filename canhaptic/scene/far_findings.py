@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 from canhaptic.axis_units import damping_unit, effort_unit, si, stiffness_unit
 from canhaptic.far.parameters import SWINGS, Coupling
 from canhaptic.far.port import PICO, READY
-from canhaptic.scene.models import FAR, AxisScene, Scene
+from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_far_port
 
 _SPEEDS: Final = {"m": (0.1, 0.2, 0.4), "rad": (1.0, 2.0, 4.0)}
@@ -34,7 +34,7 @@ def round_trip(scene: Scene) -> float:
 
 def far_findings(scene: Scene) -> list[LinkFigure]:
     """Return the figures of the link of a scene; none without a section `far`."""
-    axis = next((axis for axis in scene.axes if axis.guard == FAR), None)
+    axis = scene.far_axis
     if scene.far is None or axis is None:
         return []
     rows = _of_spring if scene.far.coupling.type == "spring" else _of_model

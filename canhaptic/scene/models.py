@@ -456,23 +456,29 @@ class Scene:
     @property
     def ports(self) -> list[Port]:
         """Every axis outside groups, then every group."""
-        alone = [
-            Port(axis.parameters.name, (axis,), (n,), axis.environment, _OF_ITSELF, axis.passivity, "")
-            for n, axis in enumerate(self.axes)
-            if not axis.group
-        ]
-        several = [
-            Port(
-                of.name, tuple(map(self.axis, of.axes)), places, of.network, of.kinematics, of.passivity,
-                f"groups.{n}.network",
-            )
-            for n, (of, places) in enumerate(zip(self.groups, self.group_places, strict=True))
-        ]  # fmt: skip
-        return alone + several
+        alone = [self._alone(n) for n, axis in enumerate(self.axes) if not axis.group]
+        return alone + [self._several(n, places) for n, places in enumerate(self.group_places)]
 
     def port_of(self, axis: AxisScene) -> Port:
         """Return the port that an axis is in."""
-        return next(port for port in self.ports if port.name == axis.port)
+        if axis.group:
+            place = next(n for n, group in enumerate(self.groups) if group.name == axis.group)
+            return self._several(place, self.group_places[place])
+        name = axis.parameters.name
+        return self._alone(next(n for n, of in enumerate(self.axes) if of.parameters.name == name))
+
+    def _alone(self, place: int) -> Port:
+        axis = self.axes[place]
+        return Port(axis.parameters.name, (axis,), (place,), axis.environment, _OF_ITSELF, axis.passivity, "")
+
+    def _several(self, place: int, places: tuple[int, ...]) -> Port:
+        of, axes = self.groups[place], tuple(self.axes[n] for n in places)
+        return Port(of.name, axes, places, of.network, of.kinematics, of.passivity, f"groups.{place}.network")
+
+    @property
+    def far_axis(self) -> AxisScene | None:
+        """The axis that is coupled to a far side; None without one."""
+        return next((axis for axis in self.axes if axis.guard == FAR), None)
 
     def axis(self, name: str) -> AxisScene:
         """Return the axis of that name."""
