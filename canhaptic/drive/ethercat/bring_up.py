@@ -12,6 +12,7 @@ from typing import Final
 
 from canhaptic.canopen.objects import is_writable
 from canhaptic.drive.ethercat.image_map import write_image
+from canhaptic.drive.ethercat.parameters import ASSIGN_ACTIVATE
 from canhaptic.drive.ethercat.segment import AlError, AlState
 from canhaptic.drive.ethercat.servo_drive import SYNC_ACTIVATION, SYSTEM_TIME, WATCHDOG, EthercatDrive
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
@@ -26,7 +27,6 @@ _WITH_SYNC0: Final = (2, 3)  # values of 0x1C32:01
 _AHEAD_NS: Final = 100_000_000  # from now to the first SYNC0: it must not have passed before all drives know it
 _LOCK_SECONDS: Final = 5
 _VALID_OUTPUTS: Final = 5  # cycles with zero outputs before OP is asked for
-_ASSIGN_ACTIVATE: Final = 0x0300
 _TRIES: Final = 20
 _BEFORE_SAFE_OP: Final = ("IP", "PS")  # transitions of the writes that a vendor wants at the start
 _LARGEST_STARTUP: Final = 8  # [bytes] of an integer
@@ -197,7 +197,7 @@ class EthercatBringUp(BringUp):
         """Return AssignActivate: of the scene, else of the ESI."""
         stated = self._drive.bus.assign_activate
         of_file: int | None = getattr(self._drive.dictionary, "assign_activate", None)
-        return next((value for value in (stated, of_file) if value is not None), _ASSIGN_ACTIVATE)
+        return next((value for value in (stated, of_file) if value is not None), ASSIGN_ACTIVATE)
 
     def _lock_phase(self) -> None:
         """Run cycles until the phase has been within 5 % of the period for 1 s, and the clock of every drive is."""

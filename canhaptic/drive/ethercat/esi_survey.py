@@ -12,16 +12,14 @@ from canhaptic.canopen import objects as od
 from canhaptic.canopen.esi import EsiDictionary, read_esi
 from canhaptic.canopen.sii import is_sii
 from canhaptic.drive.ethercat.image_map import choose_image, image_findings
-from canhaptic.drive.ethercat.parameters import EthercatAxisParameters
-from canhaptic.drive.profile.fitness import Verdict, profile_findings
+from canhaptic.drive.ethercat.parameters import ASSIGN_ACTIVATE, EthercatAxisParameters
+from canhaptic.drive.profile.fitness import Verdict, profile_findings, stated_default
 from canhaptic.drive.survey import Survey
 from canhaptic.errors import DictionaryError
 
 _OUTPUTS: Final = range(0x1600, 0x1800)
 _BITS: Final = 16  # of 0x6071, an INTEGER16
-_CST: Final = 1 << 9  # bit of 0x6502
-_PERIOD, _SYNC_LIMIT = 0x60C2, 0x10F1
-_CLOCKED: Final = 0x0300
+_SYNC_LIMIT: Final = 0x10F1
 
 
 class Judgement(Enum):
@@ -66,7 +64,7 @@ def judge(path: Path, device: EsiDictionary) -> DeviceVerdict:
     text = f"RxPDO {chosen.outputs.index:#06x}{'' if chosen.outputs.is_written else ' (fixed)'}"
     text += f", TxPDO {chosen.inputs.index:#06x}{'' if chosen.inputs.is_written else ' (fixed)'}"
     text += f", torque read back: {chosen.read_back}"
-    if _stated(device, od.SUPPORTED_DRIVE_MODES) == 0:
+    if stated_default(device, od.SUPPORTED_DRIVE_MODES) == 0:
         asked = ("0x6502 is 0 in this file, although 0x6071 can be mapped: ask the drive",)
         return DeviceVerdict(device, Judgement.ASK, asked, conditions, text, notes)
     return DeviceVerdict(device, Judgement.CONDITIONAL if conditions else Judgement.FIT, (), conditions, text, notes)
@@ -96,11 +94,6 @@ def _axis(path: Path, device: EsiDictionary) -> EthercatAxisParameters:
     return EthercatAxisParameters(
         name="drive", position=0, esi=path, counts_per_unit=1.0, torque_limit=1.0, rated_torque=rated
     )
-
-
-def _stated(device: EsiDictionary, index: int) -> int | None:
-    variable = device.get_variable(index)
-    return variable.default if variable is not None and isinstance(variable.default, int) else None
 
 
 def _mapped(device: EsiDictionary) -> dict[int, list[int]]:
@@ -136,7 +129,7 @@ def _of_dictionary(path: Path, device: EsiDictionary) -> tuple[tuple[str, ...], 
     """Return reasons and conditions of a device with a dictionary."""
     axis = _axis(path, device)
     reasons, conditions = list[str](), list[str]()
-    modes = _stated(device, od.SUPPORTED_DRIVE_MODES)
+    modes = stated_default(device, od.SUPPORTED_DRIVE_MODES)
     if device.get_variable(od.RATED_TORQUE) is None:
         conditions.append("0x6076 rated torque: not listed; set rated_torque")
     for found in (*profile_findings(device, axis), *image_findings(device, axis)):
@@ -145,12 +138,10 @@ def _of_dictionary(path: Path, device: EsiDictionary) -> tuple[tuple[str, ...], 
             continue
         if found.verdict is Verdict.UNKNOWN:
             conditions.append(text)
-        elif index == "0x1000" and _stated(device, od.DEVICE_TYPE) is not None:
+        elif index == "0x1000" and stated_default(device, od.DEVICE_TYPE) is not None:
             conditions.append(f"{found.item}: {found.text}; a default proves little, the start asks the drive")
         elif not (index == "0x6502" and modes == 0):
             reasons.append(text)
-    if modes and not modes & _CST and not any("0x6502" in of for of in reasons):
-        reasons.append(f"0x6502 supported drive modes: got {modes:#x}, expected bit 9 (cyclic torque)")
     return tuple(reasons), tuple(conditions)
 
 
@@ -159,7 +150,7 @@ def _notes(device: EsiDictionary) -> tuple[str, ...]:
     activate = device.assign_activate
     if activate is None:
         notes.append(
-            f"no AssignActivate for SYNC0: {_CLOCKED:#06x} is tried, unless bus.assign_activate says otherwise"
+            f"no AssignActivate for SYNC0: {ASSIGN_ACTIVATE:#06x} is tried, unless bus.assign_activate says otherwise"
         )
     else:
         notes.append(f"AssignActivate {activate:#06x}")
@@ -167,7 +158,7 @@ def _notes(device: EsiDictionary) -> tuple[str, ...]:
         if item.place[0] == od.MODES_OF_OPERATION:
             mode = int.from_bytes(item.data, "little", signed=True)
             notes.append(f"its start-up list sets 0x6060 = {mode}: 10 is written after it")
-    if device.is_whole and device.get_variable(_PERIOD, 1) is None:
+    if device.is_whole and device.get_variable(od.INTERPOLATION_PERIOD, 1) is None:
         notes.append("no 0x60C2: the drive takes the period from SYNC0")
     if device.is_whole and device.get_variable(_SYNC_LIMIT, 2) is None:
         notes.append("no 0x10F1:02: the drive's own limit on lost frames is not known")

@@ -15,6 +15,9 @@ _MAIL_NS: Final = 10_000_000  # between two looks: into a mailbox for an emergen
 _QUIET_NS: Final = 100_000_000
 _FEWEST_WATCHED: Final = 3
 
+ASSIGN_ACTIVATE: Final = 0x0300
+"""What switches SYNC0 on in a drive whose file does not say it."""
+
 
 class EthercatBusParameters(CycleParameters):
     """One EtherCAT line, whose first drive with a distributed clock leads the cycle."""

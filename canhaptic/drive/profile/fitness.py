@@ -214,7 +214,8 @@ def agreed_rated_torque(axis: TorqueAxisParameters, counts: int | None, resoluti
     return stated
 
 
-def _stated(dictionary: Dictionary, index: int, subindex: int = 0) -> int | None:
+def stated_default(dictionary: Dictionary, index: int, subindex: int = 0) -> int | None:
+    """Return the number that a dictionary states as the default of an object; None where it states none."""
     variable = dictionary.get_variable(index, subindex)
     default = None if variable is None else variable.default
     return default if isinstance(default, int) else None
@@ -249,7 +250,7 @@ def _read_back(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterator[F
 
 
 def _device_type(dictionary: Dictionary) -> Finding:
-    stated = _stated(dictionary, od.DEVICE_TYPE)
+    stated = stated_default(dictionary, od.DEVICE_TYPE)
     item, use = "0x1000 device type", ObjectUse(od.DEVICE_TYPE, 0, DataType.UNSIGNED32, reads=True)
     if (found := judged(dictionary, item, use, _CORRECT)).verdict is Verdict.REFUSED:
         return found
@@ -261,7 +262,7 @@ def _device_type(dictionary: Dictionary) -> Finding:
 
 
 def _drive_modes(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
-    stated = _stated(dictionary, od.SUPPORTED_DRIVE_MODES)
+    stated = stated_default(dictionary, od.SUPPORTED_DRIVE_MODES)
     item = "0x6502 supported drive modes"
     use = ObjectUse(od.SUPPORTED_DRIVE_MODES, 0, DataType.UNSIGNED32, reads=True)
     found = judged(dictionary, item, use, _CORRECT)
@@ -278,7 +279,7 @@ def _drive_modes(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
 
 def _rated_torque(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding:
     item = "0x6076 rated torque"
-    stated = _stated(dictionary, od.RATED_TORQUE)
+    stated = stated_default(dictionary, od.RATED_TORQUE)
     if not quirks_of(axis.quirks).reads_rated_torque:
         if axis.rated_torque is not None:
             return Finding(item, Verdict.UNKNOWN, f"{axis.rated_torque:g} from the configuration alone (quirks)")
