@@ -208,15 +208,17 @@ class EthercatDrive(TorqueAxis):
 
     def leave_operational(self) -> None:
         """Take the drive to SAFE-OP, where it gives no torque, and compare the counts of held torques."""
-        begin, self.counts_before, line = self.counts_before, None, self.line
+        begin, self.counts_before, least = self.counts_before, None, 0
         if begin is not None:
             self.read_al_status()
-        was_in_op, least = self.al_status == AlState.OP, self._held_by_host()
+            if self.al_status == AlState.OP:
+                least = self._held_by_host()
+            else:
+                begin = None  # a drive that has left OP by itself counts no longer
         self._request(AlState.SAFE_OP)
         self.is_operational = False
-        if begin is not None and was_in_op:  # one that has left OP by itself counts no longer
-            end = self._counts(least)
-            self.disagreement = self.disagreement or ("" if end is None else line.held.objection(begin, end))
+        if begin is not None and (end := self._counts(least)) is not None:
+            self.disagreement = self.disagreement or self.line.held.objection(begin, end)
 
     def begin_counts(self) -> None:
         """Read the count of held torques with which the run begins; raise LinkError."""
