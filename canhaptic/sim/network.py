@@ -3,14 +3,11 @@
 import heapq
 import random
 from collections.abc import Iterator
-from math import inf
-from typing import Annotated, Final, Self
+from typing import Annotated, Self
 
 from pydantic import model_validator
 
 from canhaptic.units import Parameters, quantity
-
-_SECOND: Final = 1_000_000_000  # [ns]
 
 
 class NetworkParameters(Parameters):
@@ -75,10 +72,6 @@ class SimulatedNetwork:
         box = self._boxes[at]
         while box and box[0][0] <= self.now:
             yield heapq.heappop(box)[2]
-
-    def next_due(self) -> float:
-        """Return the time of the next arrival [s]; infinite without one."""
-        return min((box[0][0] for box in self._boxes if box), default=inf)
 
 
 class NetworkEnd:
