@@ -4,9 +4,8 @@ import struct
 
 import pytest
 
-from canhaptic.drive.ethercat.al_states import al_status
 from canhaptic.drive.ethercat.datagrams import Command
-from canhaptic.drive.ethercat.segment import AlError, AlState
+from canhaptic.drive.ethercat.segment import AlError, AlState, al_status
 from canhaptic.errors import SdoError
 from canhaptic.sim.drive.ethercat.drive_node import ClockParameters
 from canhaptic.sim.drive.profile.state_machine import DriveState
@@ -175,7 +174,7 @@ def test_silence_ends_the_torque_within_the_watchdog_and_a_full_counter_proves_n
     line.clock.wait_until(last + 5_000_000)
     line.cable.process(line.clock.now())
     assert drive.torque == 0.0
-    assert al_status(line.master.register, 0) == (0x14, 0x1B)
+    assert al_status(line.master, 0) == (0x14, 0x1B)
     emergency = line.master.mail(0)
     assert emergency is not None
     assert (emergency.code, emergency.register) == (0x8100, 0x11)
@@ -191,7 +190,7 @@ def test_too_many_sync0s_without_outputs_end_op() -> None:
     line.clock.wait_until(line.due + 3 * PERIOD)
     line.cable.process(line.clock.now())
     assert line.drives[0].torque == 0.0
-    assert al_status(line.master.register, 0) == (0x14, 0x1A)
+    assert al_status(line.master, 0) == (0x14, 0x1A)
     assert line.missed_by(0) == 3
 
 

@@ -4,15 +4,20 @@ A drive is named by its position on the line, from 0. What serves the protocol i
 foreign one); the order of the start, the phase lock and the judgement of lost frames lie above it.
 """
 
+import struct
 import tomllib
 from collections.abc import Sequence
 from enum import IntEnum
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
+from canhaptic.drive.clock import Clock
 from canhaptic.errors import RigError
 
-_ERROR: Final = 0x10  # bit of AL status: the drive refused, or left its state by itself
+AL_CONTROL: Final = 0x0120
+AL_STATUS: Final = 0x0130
+ERROR: Final = 0x10
+"""Bit of AL status: the drive refused, or left its state by itself; in AL control it acknowledges."""
 _TEXTS: Final[dict[str, dict[int, str]]] = {
     kind: {int(code, 16): text for code, text in texts.items()}
     for kind, texts in tomllib.loads(Path(__file__).with_name("al_codes.toml").read_text(encoding="utf-8")).items()
@@ -95,9 +100,9 @@ class AlError(RigError):
 
     def __init__(self, drive: int, wanted: AlState, status: int, code: int) -> None:
         self.drive, self.status, self.code = drive, status, code
-        self.remedy = al_remedy(code) if status & _ERROR else _SILENT
+        self.remedy = al_remedy(code) if status & ERROR else _SILENT
         seen = f"AL status {status:#04x} ({state_name(status)})"
-        reason = f", code {code:#06x}: {al_text(code)}" if status & _ERROR else ""
+        reason = f", code {code:#06x}: {al_text(code)}" if status & ERROR else ""
         super().__init__(f"drive {drive}: got {seen}{reason}, expected {wanted.name}; {self.remedy}")
 
 
@@ -160,3 +165,42 @@ class Segment(Protocol):
 
     def mail(self, drive: int) -> Emergency | None:
         """Return the emergency that waits in the mailbox of a drive; None without one."""
+
+
+def request_state(line: Segment, clock: Clock, drive: int, state: AlState, timeout_ns: int, poll_ns: int) -> None:
+    """Acknowledge an error, ask for a state, and return once the drive is there.
+
+    Args:
+        line: Segment of the line.
+        clock: Clock of the line.
+        drive: Position of the drive.
+        state: State to reach.
+        timeout_ns: Time for it [ns].
+        poll_ns: Time between two looks [ns].
+
+    Raises:
+        AlError: The drive refuses the state, or is not there in time.
+    """
+    status, _ = al_status(line, drive)
+    if status & ERROR:
+        line.register(drive, AL_CONTROL, struct.pack("<H", status))  # acknowledges: the error bit is the same
+    line.register(drive, AL_CONTROL, struct.pack("<H", state))
+    await_state(line, clock, drive, state, timeout_ns, poll_ns)
+
+
+def await_state(line: Segment, clock: Clock, drive: int, state: AlState, timeout_ns: int, poll_ns: int) -> None:
+    """Return once a drive is in a state that it was asked for; arguments and errors as in `request_state`."""
+    end = clock.now() + timeout_ns
+    while True:
+        status, code = al_status(line, drive)
+        if status == state:
+            return
+        if status & ERROR or clock.now() >= end:
+            raise AlError(drive, state, status, code)
+        clock.wait_until(min(end, clock.now() + poll_ns))
+
+
+def al_status(line: Segment, drive: int) -> tuple[int, int]:
+    """Return the AL status of a drive, of which bits 0 to 4 are used, and its AL status code."""
+    status, _, code = struct.unpack("<HHH", line.register(drive, AL_STATUS, size=6))
+    return status & 0x1F, code

@@ -7,13 +7,12 @@ from typing import Any, Final
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Dictionary
-from canhaptic.drive.ethercat.al_states import AL_STATUS
 from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
 from canhaptic.drive.ethercat.coe import CoeAccess
 from canhaptic.drive.ethercat.held_torques import SM_EVENT_MISSED, Reading
 from canhaptic.drive.ethercat.image_map import ImageMap, choose_image
 from canhaptic.drive.ethercat.parameters import EthercatAxisParameters
-from canhaptic.drive.ethercat.segment import AlState, ImageSlice, al_remedy, al_text, state_name
+from canhaptic.drive.ethercat.segment import AL_STATUS, AlState, ImageSlice, al_remedy, al_text, state_name
 from canhaptic.drive.profile.torque_axis import CycleRules, TorqueAxis
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.drive.safety.power_states import PowerState

@@ -12,9 +12,20 @@ from typing import Any, Final, NamedTuple, Protocol
 from canhaptic.canopen.code_texts import sdo_abort_text
 from canhaptic.canopen.objects import SdoAbort
 from canhaptic.drive.clock import Clock
-from canhaptic.drive.ethercat.al_states import AL_CONTROL, AL_STATUS, ERROR, await_state, request_state
 from canhaptic.drive.ethercat.datagrams import FIRST, HEAD, TAIL, Command, Datagram, answers_of, frame_of
-from canhaptic.drive.ethercat.segment import AlState, Cycle, Emergency, FrameKind, Identity, ImageSlice
+from canhaptic.drive.ethercat.segment import (
+    AL_CONTROL,
+    AL_STATUS,
+    ERROR,
+    AlState,
+    Cycle,
+    Emergency,
+    FrameKind,
+    Identity,
+    ImageSlice,
+    await_state,
+    request_state,
+)
 from canhaptic.errors import LinkError, SdoError
 
 _STATION: Final = 0x0010
@@ -153,7 +164,7 @@ class ThinMaster:
             self._one(Command.WRITE_AT, -place & 0xFFFF, _STATION, struct.pack("<H", station), 1)
             features = self._one(Command.READ, station, _FEATURES, bytes(1), 1).data[0]
             self._drives.append(_Drive(station, has_clock=bool(features & _HAS_CLOCK)))
-            await_state(self.register, self._clock, place, AlState.INIT, _MAIL_NS, _POLL_NS)
+            await_state(self, self._clock, place, AlState.INIT, _MAIL_NS, _POLL_NS)
         return [self._identify(place) for place in range(count)]
 
     def _identify(self, place: int) -> Identity:
@@ -219,7 +230,7 @@ class ThinMaster:
 
     def request(self, drive: int, state: AlState, timeout_ns: int = 1_000_000_000) -> None:
         """Ask a drive for a state and return once it is there; raise AlError where it refuses or stays away."""
-        request_state(self.register, self._clock, drive, state, timeout_ns, _POLL_NS)
+        request_state(self, self._clock, drive, state, timeout_ns, _POLL_NS)
 
     # --- process image and clocks ---------------------------------------------------------------------------------
 

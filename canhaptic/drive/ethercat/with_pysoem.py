@@ -15,8 +15,7 @@ from typing import Any, Final
 from canhaptic.canopen.code_texts import sdo_abort_text
 from canhaptic.canopen.objects import SdoAbort
 from canhaptic.drive.clock import Clock
-from canhaptic.drive.ethercat.al_states import request_state
-from canhaptic.drive.ethercat.segment import AlState, Cycle, Emergency, FrameKind, Identity, ImageSlice
+from canhaptic.drive.ethercat.segment import AlState, Cycle, Emergency, FrameKind, Identity, ImageSlice, request_state
 from canhaptic.errors import InputError, LinkError, SdoError
 from canhaptic.extras import install_hint
 from canhaptic.host import capabilities
@@ -106,7 +105,7 @@ class PysoemSegment:
             )
         found = []
         for place, drive in enumerate(master.slaves):
-            drive._disable_complete_access()  # noqa: SLF001  # some drives claim it, and fail at it
+            drive._disable_complete_access()  # some drives claim it, and fail at it
             mails = deque[Emergency]()
             self._mails.append(mails)
             drive.add_emergency_callback(lambda of, mails=mails: mails.append(_emergency(of)))
@@ -125,14 +124,14 @@ class PysoemSegment:
             self._write(drive, address, data)
             return data
         try:
-            content: bytes = self._master.slaves[drive]._fprd(address, size, _REGISTER_US)  # noqa: SLF001
+            content: bytes = self._master.slaves[drive]._fprd(address, size, _REGISTER_US)
         except self._soem.WkcError as error:
             raise self._lost(drive, address) from error
         return content
 
     def _write(self, drive: int, address: int, data: bytes, *, is_needed: bool = True) -> None:
         try:
-            self._master.slaves[drive]._fpwr(address, data, _REGISTER_US)  # noqa: SLF001
+            self._master.slaves[drive]._fpwr(address, data, _REGISTER_US)
         except self._soem.WkcError as error:
             if is_needed:
                 raise self._lost(drive, address) from error
@@ -145,7 +144,7 @@ class PysoemSegment:
 
     def request(self, drive: int, state: AlState, timeout_ns: int = 1_000_000_000) -> None:
         """Ask a drive for a state and return once it is there; raise AlError where it refuses or stays away."""
-        request_state(self.register, self._clock, drive, state, timeout_ns, _POLL_NS)
+        request_state(self, self._clock, drive, state, timeout_ns, _POLL_NS)
 
     # --- process image and clocks ---------------------------------------------------------------------------------
 
