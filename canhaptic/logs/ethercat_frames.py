@@ -4,7 +4,6 @@ It shares no code with a master or a simulated drive. Each datagram is decoded b
 their refusals, objects by mailbox, process data.
 """
 
-import gzip
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ from typing import Final, NamedTuple
 
 from canhaptic.canopen.code_texts import emcy_text, sdo_abort_text
 from canhaptic.errors import LogFormatError
+from canhaptic.files import require_regular
 
 _GZIP: Final = b"\x1f\x8b"
 _PCAPNG: Final = b"\x0a\x0d\x0d\x0a"
@@ -66,6 +66,7 @@ def read_capture(path: str | Path) -> list[CapturedFrame]:
     """
     path = Path(path)
     try:
+        require_regular(path)  # a pipe would never answer
         content = path.read_bytes()
         if content[:2] == _GZIP:
             unpacker = zlib.decompressobj(wbits=31)
@@ -74,7 +75,7 @@ def read_capture(path: str | Path) -> list[CapturedFrame]:
                 raise LogFormatError(
                     f"{path}: got more than {_LARGEST >> 20} MiB or a cut file, expected a whole capture"
                 )
-    except (OSError, EOFError, zlib.error, gzip.BadGzipFile) as error:
+    except (OSError, zlib.error) as error:
         raise LogFormatError(f"{path}: cannot be read ({error}); give a pcap or pcapng file") from error
     try:
         if content[:4] == _PCAPNG:

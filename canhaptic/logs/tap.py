@@ -1,9 +1,7 @@
 """A log of the frames on a network interface, both directions, by a process of its own: pcap with nanoseconds.
 
 A foreign master keeps no log. The process has a raw socket of its own, so that the cycle pays nothing; the kernel
-stamps the frames, and counts those that were dropped because the process was too slow.
-
-    python -m canhaptic.logs.tap INTERFACE FILE     until its input ends
+stamps the frames, and counts those that were dropped because the process was too slow. It ends when its input does.
 """
 
 import select
@@ -45,12 +43,11 @@ class Tap:
     """
 
     def __init__(self, interface: str, path: Path) -> None:
+        from canhaptic.logs.writer_process import isolated_program  # its process needs nothing of it
+
         self.frames = self.dropped = 0
         self._path = path
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "canhaptic.logs.tap", interface, str(path)], stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE, text=True, start_new_session=True,
-        )  # fmt: skip
+        self._process = isolated_program("canhaptic.logs.tap", (interface, path), (), stdout=subprocess.PIPE)
         assert self._process.stdout is not None  # noqa: S101
         said = self._process.stdout.readline().strip()
         if said != "ready":
@@ -119,5 +116,6 @@ def _drain(tap: socket.socket, log: FrameLog) -> int:
     return count
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Log the interface and into the file that the arguments name."""
     sys.exit(write(*sys.argv[1:3]))
