@@ -87,6 +87,7 @@ class Cycle:
         judge: Comparison with the simulated plant; None with real drives.
         timing: Durations of each part of the cycle; empty in a run that is not paced in real time.
         cycles: Cycles completed, those of the stop included.
+        all_ports: The ports with their rows.
         holds_of_stop: Cycles of the stop among them.
         uneven: Number of holds that were longer or shorter than the declared `sync_jitter` allows.
         unbooked: After a run, each axis on which a torque acted when it ended, by its number, and whether its drive
@@ -105,19 +106,17 @@ class Cycle:
         jitters: Sequence[float] | None = None,
     ) -> None:
         self.rig = rig
-        self._all = Ports(ports, dry_run=rig.dry_run)
-        self.ports, self._steps = self._all.ports, self._all.steps
-        render = [port.controller for port in self.ports]
-        self._lasted = [controller.lasted for controller in render if hasattr(controller, "lasted")]
-        axes = self._all.axes
+        self.all_ports = Ports(ports, dry_run=rig.dry_run)
+        self.ports, self._steps = self.all_ports.ports, self.all_ports.steps
+        axes = self.all_ports.axes
         if axes != len(rig.drives):
             text = f"cycle: got controllers for {axes} axes and a rig of {len(rig.drives)}"
             raise InputError(f"{text}; give each axis one")
-        self.meters = RunMeters(axis_meters or [AxisMeter() for _ in range(axes)], rig.drives, self._all)
+        self.meters = RunMeters(axis_meters or [AxisMeter() for _ in range(axes)], rig.drives, self.all_ports)
         self.ledgers = [figures.ledger for figures in self.meters.ports]
-        self._at_rest, self._several = [AT_REST] * self._all.rows, self._all.several
+        self._at_rest, self._several = [AT_REST] * self.all_ports.rows, self.all_ports.several
         self.timing = {name: DurationHistogram() for name in CycleTiming._fields}
-        self.judge = None if truths is None else _judge(self._all)
+        self.judge = None if truths is None else _judge(self.all_ports)
         self.cycles = self.uneven = self.holds_of_stop = 0
         self.unbooked: dict[int, bool] = {}
         self.turn: Callable[[Sequence[Sample]], None] | None = None
@@ -156,12 +155,11 @@ class Cycle:
         rig, read = self.rig, self._truths
         truths = read() if read is not None else None
         if rig.periods > 1:
-            for lasted in self._lasted:
-                lasted(float(rig.periods))
+            self.all_ports.lasted(rig.periods)
         balances = self._at_rest.copy()
         for port in self._steps:  # displacement -> energy balance [J]
             port.step(samples, balances)
-        torques = list(map(_torque, balances[: self._all.axes]))
+        torques = list(map(_torque, balances[: self.all_ports.axes]))
         if rig.uneven > self._least_jitter:
             self._withdraw(balances)
         for meter in self._loss_meters:
@@ -214,7 +212,7 @@ class Cycle:
     def _withdraw(self, balances: list[EnergyBalance]) -> None:
         """Withdraw the certificates of a hold that was longer or shorter than they permit."""
         broken = {axis for axis, jitter in enumerate(self._jitters) if self.rig.uneven > jitter}
-        for row, axes in self._all.axes_of_rows:
+        for row, axes in self.all_ports.axes_of_rows:
             if not broken.isdisjoint(axes):
                 balances[row] = balances[row]._replace(certificate=_NO_CERTIFICATE)
         if not self.uneven:
@@ -413,7 +411,7 @@ def run(
             the last records.
         LogStoppedError: A log failed and the run may not continue without it; the rig was stopped as by the operator.
     """
-    if cycle.turn is None and any(hasattr(port.controller, "ask") for port in cycle.ports):
+    if cycle.turn is None and cycle.all_ports.programs:
         raise InputError("guard: the scene is for a program that requests its torques; run it with canhaptic.open_rig")
     with suppress(StartStoppedError), running(cycle):
         while (cycles is None or cycle.cycles < cycles) and not stop_requested():

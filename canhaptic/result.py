@@ -18,7 +18,6 @@ from typing import Final, NotRequired, TypedDict, cast
 
 from canhaptic.control import verdict as verdicts
 from canhaptic.control.balance import Certificate
-from canhaptic.control.ports import Ports
 from canhaptic.control.verdict import WORST_LAST, Headline, PortResult, Verdict
 from canhaptic.cycle import Cycle
 from canhaptic.meters import PortFigures, Promise, promise_of
@@ -126,7 +125,7 @@ def run_result(cycle: Cycle, *, status: str, config_hash: str, method: str) -> R
 
 def _accounts(cycle: Cycle, truth: Mapping[str, TruthResult]) -> dict[str, PortResult]:
     """Return the account of each row: of each axis, then of each port of several axes."""
-    axes, ports = [drive.axis for drive in cycle.rig.drives], Ports(cycle.ports)
+    axes, ports = [drive.axis for drive in cycle.rig.drives], cycle.all_ports
     alone, known, sample_time = ports.alone, cycle.meters.ports, cycle.rig.bus.sample_time
     accounts: dict[str, PortResult] = {}
     found = cycle.found_holds()
@@ -282,7 +281,7 @@ def _truth(cycle: Cycle) -> dict[str, TruthResult]:
     if (judge := cycle.judge) is None:
         return {}
     sums = zip(judge.interaction, judge.least, judge.least_at_handle, judge.believed_error, strict=True)
-    names = (*(drive.axis.name for drive in cycle.rig.drives), *(port.name for port in Ports(cycle.ports).several))
+    names = (*(drive.axis.name for drive in cycle.rig.drives), *(port.name for port in cycle.all_ports.several))
     keys = TruthResult.__annotations__
     truth = (with_old_names(dict(zip(keys, of, strict=True))) for of in sums)
     return {name: cast("TruthResult", of) for name, of in zip(names, truth, strict=True)}

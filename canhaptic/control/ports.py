@@ -107,6 +107,6 @@ class Ports:
         return balances
 
 
-def axis_ports(controllers: Iterable[Controller], names: Sequence[str] = ()) -> list[Port]:
+def axis_ports(controllers: Iterable[Controller]) -> list[Port]:
     """Return a port for each controller, in the order of the axes of the rig."""
-    return [Port(names[axis] if names else "", (axis,), axis, each) for axis, each in enumerate(controllers)]
+    return [Port("", (axis,), axis, each) for axis, each in enumerate(controllers)]
