@@ -14,7 +14,7 @@ handles.
 Totals are whole picojoules, which a float holds exactly up to 9 kJ.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import inf, sqrt
 from typing import ClassVar, Final, TypeAlias
 
@@ -48,6 +48,7 @@ _LED: Final = 0.02
 """Share of the spare energy by which a wall comes nearer to its place in a hold."""
 _ROUNDING: Final = 1e-9  # [N or N*m]
 _ANY: Final = 0
+_IS_READY, _IS_LINKED, _IS_STOPPING, _IS_BELOW, _IS_ABOVE = 1, 2, 4, 8, 16  # of the flags of a `FarRow`
 _UNDECLARED: Final = Declared(0.0, 0, 0, False, NO_RESPONSE, 0.0, 0.0, 0.0)
 
 
@@ -293,12 +294,10 @@ def settings_of(far: FarParameters, parameters: guarded.GuardedParameters, loop:
     """
     known = settings_of_program(AskedEffort(), parameters, loop)
     given = {field.name: getattr(known, field.name) for field in fields(known)}
-    declared = {field.name: getattr(known.declared, field.name) for field in fields(known.declared)}
-    declared["delay"] = loop.delay + 1
     time = loop.sample_time
     return FarSettings(
         **given,
-        ahead=Declared(**declared),
+        ahead=replace(known.declared, delay=loop.delay + 1),
         stiffness=far.coupling.stiffness,
         model_damping=far.coupling.damping,
         level=far.level,
@@ -328,12 +327,20 @@ class FarPort(guarded.Guarded):
         state: FarState = self._state
         return state
 
+    def given(self) -> tuple[float, float, float, float, float, int]:
+        """Return what a log holds of the next step, as the first columns of `FarRow`; `take_far` is the inverse."""
+        state = self.state
+        flags = _IS_READY * state.far_ready | _IS_LINKED * state.linked | _IS_STOPPING * state.stopping
+        flags |= _IS_BELOW * (state.far_side > 0.0) | _IS_ABOVE * (state.far_side < 0.0)
+        return state.received, state.wanted, state.far_position, state.far_velocity, state.far_wall, flags
+
     def take_far(self, row: FarRow) -> None:
         """Set what a log holds of a step before it is computed once more."""
         state = self.state
         state.received, state.wanted, state.far_position, state.far_velocity, state.far_wall = row[:5]
-        state.far_side = 1.0 * bool(row.flags & 8) - 1.0 * bool(row.flags & 16)
-        state.far_ready, state.linked, state.stopping = (bool(row.flags & bit) for bit in (1, 2, 4))
+        state.far_side = 1.0 * bool(row.flags & _IS_BELOW) - 1.0 * bool(row.flags & _IS_ABOVE)
+        known = (bool(row.flags & bit) for bit in (_IS_READY, _IS_LINKED, _IS_STOPPING))
+        state.far_ready, state.linked, state.stopping = known
 
     @property
     def asked(self) -> float:

@@ -137,10 +137,7 @@ class FarSide:
                 break
         state.linked = session.is_alive and (state.phase == LINKED or may_begin)
         state.linked = state.linked or (state.phase == LOST and session.is_greeted)  # what is held is let go for it
-        flags = 1 * state.far_ready | 2 * state.linked | 4 * state.stopping
-        flags |= 8 * (state.far_side > 0.0) | 16 * (state.far_side < 0.0)
-        given = state.received, state.wanted, state.far_position, state.far_velocity, state.far_wall
-        self._given = (*given, flags, session.number, session.seen, session.next_sequence)
+        self._given = (*self.port.given(), session.number, session.seen, session.next_sequence)
         sample = samples[self.axis]
         if sample.fresh:
             self._velocity = (sample.position - self._position) / (periods * self._time)
