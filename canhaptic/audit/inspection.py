@@ -493,7 +493,7 @@ def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
         "limited_cycles": int((column("statusword") & StatusBit.INTERNAL_LIMIT != 0).sum()),
     }
     if rows.stop == log.rows and log.rows:
-        _leave_open(log, log.groups.get(port_name, (port_name,)), account)
+        _leave_open(log, log.axes_of(port_name), account)
     if port_name in log.groups:
         account["state_unit"] = port.unit("state")
     return account
@@ -586,19 +586,18 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
     Energies count from the first row of the part.
     """
     interaction = _taken_in(log, name, rows)
+    axes = log.axes_of(name)
+    supplied = [_supplied(log, axis, rows) for axis in axes]
     if name not in log.groups:  # of a group the column has it
-        supplied = _supplied(log, name, rows)
-        interaction = interaction + _running(supplied) - (0.0 if rows.start else supplied[:1].sum())
+        interaction = interaction + _running(supplied[0]) - (0.0 if rows.start else supplied[0][:1].sum())
     if not len(interaction):
         return with_old_names(
             TruthResult(interaction=0.0, least_interaction=0.0, least_at_handle=0.0, accounted_error=0.0)
         )
-    axes = log.axes_of(name)
     by_motors = sum(_taken_in(log, axis, rows) for axis in axes)
-    columns = [
-        (log.ports[axis].read("interaction", rows.start, rows.stop), _supplied(log, axis, rows)) for axis in axes
-    ]
-    h_i = np.sum([by_axis - supplied for by_axis, supplied in columns], axis=0)
+    columns = (log.ports[axis].read("interaction", rows.start, rows.stop) for axis in axes)
+    h_i = np.sum([column - part for column, part in zip(columns, supplied, strict=True)], axis=0)
+    del supplied
     accounted = _running(h_i) if rows.start else _running(h_i) - h_i[0]
     booked = log.ports[axes[0]].read("branch", rows.start, rows.stop) != Branch.HELD
     dissipated = log.truth[name].read("dissipated", rows.start, rows.stop)

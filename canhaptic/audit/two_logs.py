@@ -48,17 +48,15 @@ def joined(first: EnergyLog, second: EnergyLog) -> JoinedLogs:
     Raises:
         InputError: A log has no far side, or they have no session in common.
     """
-    found = [log.far for log in (first, second)]
-    if found[0] is None or found[1] is None:
+    if first.far is None or second.far is None:
         raise InputError(f"{first.path}, {second.path}: expected two logs with a far side")
-    numbers = [
-        dict(zip(*np.unique(far["session"], return_counts=True), strict=True)) for far in found if far is not None
-    ]
+    found = first.far, second.far
+    numbers = [dict(zip(*np.unique(far["session"], return_counts=True), strict=True)) for far in found]
     common = (numbers[0].keys() & numbers[1].keys()) - {0}
     if not common:
         raise InputError(f"{first.path}, {second.path}: have no session in common; inspect the two logs of one link")
     session = max(common, key=lambda number: int(numbers[0][number]))
-    a, b = (_side(log, far, session) for log, far in zip((first, second), found, strict=True) if far is not None)
+    a, b = (_side(log, far, session) for log, far in zip((first, second), found, strict=True))
     least, widest = _least_sum(a, b)
     agrees = _came_from(a, b) and _came_from(b, a)
     under_way = (a.sent[-1] - b.booked[-1]) + (b.sent[-1] - a.booked[-1])
@@ -77,8 +75,7 @@ def joined(first: EnergyLog, second: EnergyLog) -> JoinedLogs:
 
 def _side(log: EnergyLog, far: Quantities, session: int) -> _Side:
     """Return the columns of the session; the axis of the link is the one with energy from elsewhere, or the first."""
-    axes = [name for name in log.ports if name not in log.groups]
-    name = max(axes, key=lambda axis: float(np.abs(log.ports[axis]["supplied"]).sum()))
+    name = max(log.axes, key=lambda axis: float(np.abs(log.ports[axis]["supplied"]).sum()))
     port, rows = log.ports[name], far["session"] == session
     energy = np.cumsum(port["interaction"] - port["supplied"], dtype=np.longdouble) + port["device_dissipated"]
     return _Side(

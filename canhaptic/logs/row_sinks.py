@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Any, Final, cast
 
 from canhaptic.errors import CanHapticError, LogFormatError, cause_of
-from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.energy_reader import RUNNING, EnergyLog
 from canhaptic.logs.writer import become_ordinary
 from canhaptic.logs.writer_process import isolated_program, trusted_folders
 from canhaptic.registry import function_of
@@ -71,7 +71,7 @@ def _feed(sink: Any, path: Path, parent: int) -> None:
         is_last = os.getppid() != parent
         try:
             with EnergyLog.open(path) as log:
-                is_last = is_last or log.status != "running"
+                is_last = is_last or log.status != RUNNING
                 if log.rows > taken:
                     sink(log, taken, log.rows)
                     taken = log.rows

@@ -139,6 +139,10 @@ def losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
 _BLOCK: Final = 65_536  # rows held in memory at a time
 
 
+def _missed(axis: str) -> str:
+    return f"{axis}: TPDOs missed"
+
+
 def _losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
     index = log.timing.read("sync_index", max(0, start - 1), stop).astype(np.int64)
     dropped = log.timing.read("dropped_before", start, stop).astype(np.int64)
@@ -147,7 +151,7 @@ def _losses(log: EnergyLog, start: int, stop: int) -> dict[str, Array]:
     gaps = np.diff(index, prepend=index[:1] - 1)[len(index) - len(dropped) :] - 1
     lost = {"SYNCs skipped": skipped[len(index) - len(dropped) :] + np.maximum(gaps - dropped, 0)}
     for name in log.axes:
-        lost[f"{name}: TPDOs missed"] = log.ports[name].read("fresh", start, stop) == 0
+        lost[_missed(name)] = log.ports[name].read("fresh", start, stop) == 0
     lost["cycles not in the log"] = dropped
     return {name: of.astype(np.int32) for name, of in lost.items()}
 
@@ -344,10 +348,10 @@ class LiveLog:
         start, stop = self._rows, min(log.rows, self._rows + _MOST_AT_ONCE)
         time = log.deadlines(start, stop) * log.sample_time
         ports = {name: self._port(log, name, start, stop) for name in log.ports}
-        fresh = [log.ports[name].read("fresh", start, stop) for name in log.axes]
-        self._expected += sum(map(len, fresh))
-        self._missed += sum(int((of == 0).sum()) for of in fresh)
-        lost = {name: self._summed("", name, values) for name, values in losses(log, start, stop).items()}
+        found = losses(log, start, stop)
+        self._expected += (stop - start) * len(log.axes)
+        self._missed += sum(int(found[_missed(name)].sum()) for name in log.axes)
+        lost = {name: self._summed("", name, values) for name, values in found.items()}
         touched = {name: contacts(log.ports[name].read("branch", start, stop)) for name in log.ports}
         self._rows = stop
         return News(
