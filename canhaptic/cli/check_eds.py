@@ -8,6 +8,7 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from canhaptic.canopen.eds import DriveDictionary, read_dictionary
+from canhaptic.cli.options import is_of_line
 from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan
 from canhaptic.drive.profile.admittance_parameters import Mode
 from canhaptic.drive.profile.fitness import Verdict
@@ -34,7 +35,7 @@ _FEW: Final = 3
 
 def execute(arguments: argparse.Namespace) -> int:
     """Print the verdict with its reasons; return 1 if the drive is not usable."""
-    if arguments.file.name.lower().removesuffix(".gz").endswith((".xml", ".bin")):
+    if is_of_line(arguments.file):
         from canhaptic.cli.check_esi import execute as execute_esi  # loads EtherCAT
 
         return execute_esi(arguments)

@@ -4,7 +4,7 @@ They are reduced torque limits, the check list, and the positions of the walls.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.scene.models import CHECK_LIST, AxisScene, CheckItem, Scene
@@ -12,6 +12,11 @@ from canhaptic.view.terminal import write_note
 
 if TYPE_CHECKING:
     from canhaptic.scene.build import Experiment
+
+NOT_PASSIVE: Final = 1
+"""Exit status of --strict."""
+KEPT: Final = ("yes", "no contact", "dry run")
+"""Verdicts that --strict accepts."""
 
 
 def notes(scene: Scene) -> Iterator[str]:

@@ -9,7 +9,7 @@ from typing import Final
 from can.interfaces import BACKENDS
 
 from canhaptic.cli.check_eds import survey_of, warnings_of
-from canhaptic.cli.options import check_place
+from canhaptic.cli.options import check_place, is_of_line
 from canhaptic.drive.survey import Survey
 from canhaptic.errors import InputError
 from canhaptic.registry import nearest
@@ -38,7 +38,7 @@ def execute(arguments: argparse.Namespace) -> int:
     out = arguments.out
     if out is not None:
         check_place(out, arguments.force)
-    if arguments.file.name.lower().removesuffix(".gz").endswith((".xml", ".bin")):
+    if is_of_line(arguments.file):
         return _of_line(arguments)
     if arguments.interface is not None and arguments.interface not in BACKENDS:
         known = f"expected one of: {', '.join(sorted(BACKENDS))}{nearest(arguments.interface, BACKENDS)}"

@@ -114,6 +114,11 @@ def check_place(path: Path, force: bool) -> None:
         require_new(path)
 
 
+def is_of_line(path: Path) -> bool:
+    """Return whether a file is named as that of an EtherCAT drive: an ESI or the content of an EEPROM."""
+    return path.name.lower().removesuffix(".gz").endswith((".xml", ".bin"))
+
+
 def require_new(*files: Path) -> None:
     """Refuse to overwrite files, before the run.
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.cli.long_command import notes, walls_first
+from canhaptic.cli.long_command import KEPT, NOT_PASSIVE, notes, walls_first
 from canhaptic.cli.options import check_page, check_picture, require_new, scene_of
 from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.host.stop_signal import StopSignal
@@ -30,9 +30,7 @@ from canhaptic.view.terminal import (
     write_note,
 )
 
-_NOT_PASSIVE: Final = 1  # exit status of --strict
 _LARGE: Final = 0.01  # energy allowance that needs --large-allowance [J]
-_KEPT: Final = ("yes", "no contact", "dry run")
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -73,7 +71,7 @@ def execute(arguments: argparse.Namespace) -> int:
         write_note(f"  {name}: not put back in the drive: {'; '.join(texts)}")
     if error is not None:
         return error.exit_status
-    return stop.exit_status or (_NOT_PASSIVE if arguments.strict and _fails(result) else 0)
+    return stop.exit_status or (NOT_PASSIVE if arguments.strict and _fails(result) else 0)
 
 
 def _sinks(names: list[str], energy_log: Path | None) -> AbstractContextManager[None]:
@@ -171,9 +169,9 @@ def _fails(result: RunResult) -> bool:
     from canhaptic.view.run_lines import headline_text
 
     for name, account in result["ports"].items():
-        if account.get("verdict", "yes") not in _KEPT:
+        if account.get("verdict", "yes") not in KEPT:
             write_note(f"canhaptic: --strict:{headline_text(name, account).plain}")
-    return result["verdict"] not in _KEPT
+    return result["verdict"] not in KEPT
 
 
 def _run(experiment: Experiment, duration: float | None, stop: StopSignal) -> tuple[RunResult, CanHapticError | None]:

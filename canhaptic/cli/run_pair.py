@@ -4,6 +4,7 @@ import argparse
 from contextlib import ExitStack
 from pathlib import Path
 
+from canhaptic.cli.long_command import KEPT, NOT_PASSIVE
 from canhaptic.cli.options import require_new, scene_of
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.host.stop_signal import StopSignal
@@ -11,7 +12,6 @@ from canhaptic.scene.load import load_scene
 from canhaptic.scene.pair import Outcome, Pair
 from canhaptic.view.terminal import failure, note_file, run_progress, write_failure, write_json, write_line
 
-_NOT_PASSIVE = 1  # exit status of --strict
 _ALONE = ("bus_log", "png", "html")
 
 
@@ -46,8 +46,8 @@ def execute_pair(arguments: argparse.Namespace) -> int:
         note_file("energy log", path)
     if outcome.error is not None:
         return outcome.error.exit_status
-    kept = all(result["verdict"] in ("yes", "no contact") for result in outcome.results)
-    return stop.exit_status or (_NOT_PASSIVE if arguments.strict and not kept else 0)
+    kept = all(result["verdict"] in KEPT for result in outcome.results)
+    return stop.exit_status or (NOT_PASSIVE if arguments.strict and not kept else 0)
 
 
 def far_log(path: Path) -> Path:

@@ -70,7 +70,7 @@ def compare(
     Examples:
         >>> canhaptic.compare("demo", ["unprotected", "guarded"]).result["axes"]["handle"]  # doctest: +SKIP
     """
-    asked: list[object] | None = read("names", algorithms, "algorithms")
+    asked: list[Any] | None = read("names", algorithms, "algorithms")
     options: _Plain = {
         "duration": read("seconds", duration, "duration"), "rate": read("rate", rate, "rate"), "over_can": over_can,
         "engine": engine, "repeats": repeats, "progress": progress,
@@ -83,8 +83,8 @@ def compare(
             name, laid = _in_place_of_the_algorithm(own)
             with catch_warnings(action="ignore", category=OverrideWarning):  # it has parameters of its own
                 under = load_any(scene, {**(changes or {}), **laid}, allow_code)
-            found.append(_renamed(compare_algorithms(under, [name], **options), name, getattr(own, "__name__", name)))
-    return _merged(found, [one if isinstance(one, str) else getattr(one, "__name__", "") for one in asked or ()])
+            found.append(_renamed(compare_algorithms(under, [name], **options), name, own.__name__))
+    return _merged(found, [one if isinstance(one, str) else one.__name__ for one in asked or ()])
 
 
 def _in_place_of_the_algorithm(own: object) -> tuple[str, _Changes]:
