@@ -342,7 +342,7 @@ def time_the_cycle(session: Session, seconds: float) -> None:
     before = session.rig.link_statistics()
     cycle = session.run([OpenLoop() for _ in session.axes], session.cycles(seconds))
     statistics = session.rig.link_statistics()
-    counted = {"skipped_syncs": statistics["skipped_syncs"]}  # from the start of a run, those of CAN of the link
+    counted = {"skipped_syncs": statistics["skipped_syncs"]}  # counted from the start of a run
     counted |= {name: statistics.get(name, 0) for name in ("unanswered", "low_counter")}
     old_and_new = {name: (before.get(name, 0), statistics.get(name, 0)) for name in _COUNTS_OF_LINKS}
     lost = counted | {name: new - old for name, (old, new) in old_and_new.items()}

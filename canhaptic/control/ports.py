@@ -1,7 +1,7 @@
 """Ports: the parts of a rig that have a controller and an account of their own, one axis or several together.
 
 At a SYNC every port writes its rows among the balances of the cycle. Each axis has a row, in the order of the rig; a
-port of several axes has one more, behind those of all axes, for its account.
+port of several axes has one more for its account, after the rows of all axes.
 """
 
 from collections.abc import Iterable, Sequence

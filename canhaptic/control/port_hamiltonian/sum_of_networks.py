@@ -12,7 +12,7 @@ from canhaptic.units import Parameters
 
 
 class BothGeometries(NamedTuple):
-    """The ports of one geometry, followed by those of another. Each geometry is measured with its own buffers."""
+    """The ports of one geometry, then the ports of another. Each geometry is measured with its own buffers."""
 
     first: Any
     second: Any

@@ -252,7 +252,7 @@ class SdoChannel:
         of_object = request[1:4]
         heads = [head for head, count in self._owed.items() if count > 0 and head[1:] == of_object]
         if heads:
-            is_over = lambda: all(self._owed[head] <= 0 for head in heads)
+            is_over = lambda: all(self._owed[head] <= 0 for head in heads)  # noqa: E731
             self._link.wait_for(is_over, self._attempts * self._timeout)
             self._link.wait_for(is_over, self.lateness)
             self._owed |= dict.fromkeys(heads, 0)

@@ -233,5 +233,5 @@ class EthercatBringUp(BringUp):
     def process_data(self) -> Confirmation:
         """Confirmation that the inputs come with each frame."""
         drive = self._drive
-        seen = lambda: drive.culprit or "no frame"
+        seen = lambda: drive.culprit or "no frame"  # noqa: E731
         return Confirmation("PDO exchange", "inputs in every frame", lambda: drive.is_complete, seen, lambda: None)

@@ -105,7 +105,7 @@ class PysoemSegment:
             )
         found = []
         for place, drive in enumerate(master.slaves):
-            drive._disable_complete_access()  # some drives claim it, and fail at it
+            drive._disable_complete_access()  # noqa: SLF001  # some drives claim it, and fail at it
             mails = deque[Emergency]()
             self._mails.append(mails)
             drive.add_emergency_callback(lambda of, mails=mails: mails.append(_emergency(of)))
@@ -124,14 +124,14 @@ class PysoemSegment:
             self._write(drive, address, data)
             return data
         try:
-            content: bytes = self._master.slaves[drive]._fprd(address, size, _REGISTER_US)
+            content: bytes = self._master.slaves[drive]._fprd(address, size, _REGISTER_US)  # noqa: SLF001
         except self._soem.WkcError as error:
             raise self._lost(drive, address) from error
         return content
 
     def _write(self, drive: int, address: int, data: bytes, *, is_needed: bool = True) -> None:
         try:
-            self._master.slaves[drive]._fpwr(address, data, _REGISTER_US)
+            self._master.slaves[drive]._fpwr(address, data, _REGISTER_US)  # noqa: SLF001
         except self._soem.WkcError as error:
             if is_needed:
                 raise self._lost(drive, address) from error
