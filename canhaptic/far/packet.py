@@ -14,7 +14,7 @@ import struct
 from hashlib import blake2s
 from hmac import compare_digest
 from math import isfinite
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from canhaptic.kernels import new
 
@@ -44,7 +44,7 @@ class Packet(NamedTuple):
     free: float = 0.0  # not used
 
 
-def pack(packet: tuple[float, ...], key: bytes) -> bytes:
+def pack(packet: tuple[Any, ...], key: bytes) -> bytes:
     """Return the bytes of a packet, given as a `Packet` or a tuple of its fields, with their tag."""
     body = _BODY.pack(b"CH", _VERSION, *packet)
     return body + blake2s(body, digest_size=_TAG, key=key).digest()

@@ -7,7 +7,7 @@ counted in sample times.
 
 from collections.abc import Callable
 from hashlib import blake2s
-from typing import Final
+from typing import Any, Final
 
 from canhaptic.far.packet import HELLO, ROLE, STOPPING, Packet, pack, sent_in, unpack
 
@@ -47,6 +47,7 @@ class Session:
         self._secret, self._silence, self._most_owed = secret or _OPEN, silence, most_owed
         self._fresh, self._send, self._closed = fresh, send, 0.0
         self._key, self._id, self._role, self._own, self._other = b"", 0, 0, fresh(), 0
+        self._id_bytes = b""
         self.is_alive = False
         self.refused = self.heard = self.sessions = self.most_received = self.most_sent = 0
         self.seen = self._first = self.round_trip = -1
@@ -106,6 +107,7 @@ class Session:
 
     def _begin(self) -> None:
         self._key, self._id, self._role = self._keys()
+        self._id_bytes = self._id.to_bytes(8, "little")
         self.is_alive, self._quiet, self.seen, self._seq, self.heard = True, 0, -1, 0, 0
         self.round_trip = self._first = -1
         self.sessions += 1
@@ -120,20 +122,24 @@ class Session:
         return self._heard(data)
 
     def _heard(self, data: bytes) -> Packet | None:
-        packet = unpack(data, self._key)
-        if packet is None or packet.session != self._id or packet.flags & ROLE == self._role:
+        of_session = data[8:16] == self._id_bytes  # before the tag, which costs more to look at
+        packet = unpack(data, self._key) if of_session else None
+        if packet is None or packet.flags & ROLE == self._role:
             self.refused += 1
             return None
-        self.most_received = max(self.most_received, sent_in(data))
-        self._first = packet.seq if self._first < 0 else min(self._first, packet.seq)
+        flags, seq, _, _, _, _, _, _, seen, _, _ = packet
+        if (sent := sent_in(data)) > self.most_received:
+            self.most_received = sent
+        if seq < self._first or self._first < 0:
+            self._first = seq
         self._quiet = 0
         self.heard += 1
-        if packet.flags & STOPPING:
+        if flags & STOPPING:
             self.end()
-        if packet.seq > self.seen:
-            self.seen = packet.seq
-            if self._seq - _TIMES < packet.seen < self._seq:
-                self.round_trip = self._now - self._sent_at[packet.seen % _TIMES]
+        if seq > self.seen:
+            self.seen = seq
+            if self._seq - _TIMES < seen < self._seq:
+                self.round_trip = self._now - self._sent_at[seen % _TIMES]
         return packet
 
     def pass_time(self, periods: int) -> None:
@@ -149,11 +155,11 @@ class Session:
         self.is_alive, self._key, self._own, self._other = False, b"", self._fresh(), 0
         self.most_received = self.most_sent = 0
 
-    def say(self, packet: Packet, *, may_begin: bool = True) -> None:
+    def say(self, packet: tuple[Any, ...], *, may_begin: bool = True) -> None:
         """Send a packet of the session; without one, a greeting every 20 sample times.
 
         Args:
-            packet: What this side says.
+            packet: What this side says, as the fields of a `Packet`.
             may_begin: Whether it is ready for a new session; only then a greeting answers that of the other side.
         """
         if not self.is_alive:
@@ -164,9 +170,10 @@ class Session:
             return
         seq = self._seq
         self._seq, self._sent_at[seq % _TIMES] = seq + 1, self._now
-        seen = max(0, self.seen)
+        seen = self.seen if self.seen > 0 else 0
         flags, _, _, sent, received, wanted, position, velocity, _, wall, free = packet
         known = flags | self._role, seq, self._id, sent, received, wanted, position, velocity, seen, wall, free
         data = pack(known, self._key)
-        self.most_sent = max(self.most_sent, sent_in(data))
+        if (told := sent_in(data)) > self.most_sent:
+            self.most_sent = told
         self._send(data)

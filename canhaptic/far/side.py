@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, Protocol
 
 from canhaptic.control.ledger import EnergyLossMeter
 from canhaptic.errors import InputError
-from canhaptic.far.packet import ABOVE, BELOW, READY, STOPPING, Packet, whole
+from canhaptic.far.packet import ABOVE, BELOW, READY, STOPPING, whole
 from canhaptic.far.parameters import FarParameters, address
 from canhaptic.far.port import IDLE, LINKED, LOST, PICO, FarPort, certain
 from canhaptic.far.session import Session
@@ -175,9 +175,8 @@ class FarSide:
         )
         totals = whole(state.sent), whole(state.booked), whole(state.request)
         may_begin = state.phase == IDLE and not self.is_stopping
-        self.session.say(
-            Packet(flags, 0, 0, *totals, self._position, self._velocity, 0, self._wall), may_begin=may_begin
-        )
+        told = flags, 0, 0, *totals, self._position, self._velocity, 0, self._wall, 0.0
+        self.session.say(told, may_begin=may_begin)
 
     def summary(self) -> LinkSummary:
         """Return what the link has done so far."""

@@ -1,13 +1,13 @@
 """One UDP socket to one declared peer; nothing that it does can stop or delay a cycle."""
 
+import select
 import socket
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 
 from canhaptic.errors import InputError
 from canhaptic.far.packet import SIZE
 
-_MOST = 16  # packets taken in one cycle
+_MOST = 8  # packets taken in one cycle: a peer may be so many times as fast; a flood costs no more
 
 
 class UdpLink:
@@ -32,20 +32,34 @@ class UdpLink:
             text = f"far: cannot use {own} towards {other} ({error.strerror or error})"
             raise InputError(f"{text}; give as `listen` an address of this computer that is free") from error
         self._socket.setblocking(False)
+        self._receive, self._send, self._has_more = self._socket.recv, self._socket.send, _look_of(self._socket)
 
     def send(self, data: bytes) -> None:
         """Send a packet, or lose it."""
-        with suppress(OSError):
-            self._socket.send(data)
+        try:  # noqa: SIM105 - in each cycle: `suppress` costs a fifth of the call
+            self._send(data)
+        except OSError:
+            pass
 
     def arrived(self) -> Iterator[bytes]:
-        """Yield the packets that have arrived, 16 at most."""
-        for _ in range(_MOST):
-            try:
-                yield self._socket.recv(SIZE + 1)
-            except OSError:  # none, or an answer that no one listens there
-                return
+        """Yield the packets that have arrived, 8 at most."""
+        receive = self._receive
+        try:
+            yield receive(SIZE + 1)
+            for _ in range(_MOST - 1 if self._has_more(0) else 0):
+                yield receive(SIZE + 1)
+        except OSError:  # none, or an answer that no one listens there
+            return
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
+
+
+def _look_of(of: socket.socket) -> Callable[[int], object]:
+    """Return what tells whether a socket has more, for a third of what an empty `recv` costs; it may say so wrongly."""
+    if not hasattr(select, "poll"):
+        return lambda _: True
+    poll = select.poll()
+    poll.register(of, select.POLLIN)
+    return poll.poll
