@@ -38,7 +38,7 @@ IDLE, LINKED, LOST = 0, 1, 2
 HOLD, DAMP, RELEASE = 0, 1, 2
 """What the port renders after its session ended."""
 THEN: Final = {"hold": HOLD, "damp": DAMP, "release": RELEASE}
-READY: Final = 0.4
+STARTS: Final = 0.4
 """Share of the level that a side must have earned before the model is rendered."""
 _FADE: Final = 0.3
 """Time in which the model fades in [s]."""
@@ -46,6 +46,8 @@ _RELEASE: Final = 0.2
 """Time in which it fades out [s]."""
 _LED: Final = 0.02
 """Share of the spare energy by which a wall comes nearer to its place in a hold."""
+_NEARER: Final = 0.01
+"""Share of the torque limit by which it does."""
 _ROUNDING: Final = 1e-9  # [N or N*m]
 _ANY: Final = 0
 _IS_READY, _IS_LINKED, _IS_STOPPING, _IS_BELOW, _IS_ABOVE = 1, 2, 4, 8, 16  # of the flags of a `FarRow`
@@ -92,6 +94,7 @@ class FarState(guarded.GuardedState):
     phase: int = IDLE
     plane: float = 0.0  # where the wall is rendered [m or rad]
     is_led: bool = False  # whether it is rendered
+    damped: float = 0.0  # share of its damping that is rendered
     at_rest: int = 0  # holds of zero torque since the session ended
     cut: float = 0.0  # energy that arrived and the declared limits do not let in [J]
 
@@ -156,7 +159,7 @@ def move_on(settings: FarSettings, state: FarState, position: float) -> None:
     if state.phase == LOST:
         if state.linked or state.stopping or settings.then == RELEASE:
             state.blend = max(0.0, state.blend - settings.release)
-    elif state.blend > 0.0 or (state.far_ready and certain(state) >= READY * settings.level):
+    elif state.blend > 0.0 or (state.far_ready and certain(state) >= STARTS * settings.level):
         state.blend = min(1.0, state.blend + settings.fade)
 
 
@@ -176,15 +179,17 @@ def stored_by_model(settings: FarSettings, state: FarState, position: float) -> 
 def lead(settings: FarSettings, state: FarState, position: float) -> None:
     """Move the rendered wall to where the other side has found it, as the tank pays or as the hand leaves.
 
-    One that appears or jumps over the hand starts at the hand.
+    One that appears or jumps over the hand starts at the hand, and its torque rises in small steps.
     """
     side, stiffness = state.far_side, settings.stiffness
+    state.damped = min(1.0, state.damped + settings.fade) if state.is_led else 0.0
     if side != 0.0:
         plane = state.plane if state.is_led else position
         deep, wanted = max(0.0, side * (position - plane)), side * (position - state.far_wall)
         if wanted > deep:
             spare = max(0.0, certain(state) - 0.5 * stiffness * deep * deep) * _LED
-            wanted = min(wanted, sqrt(deep * deep + 2.0 * spare / stiffness))
+            most = sqrt(deep * deep + 2.0 * spare / stiffness)
+            wanted = min(wanted, most, deep + _NEARER * settings.torque_limit / stiffness)
         state.plane = position - side * wanted
     state.is_led = side != 0.0
 
@@ -196,7 +201,7 @@ def effort_of_model(settings: FarSettings, state: FarState, position: float, vel
         deep = state.far_side * (position - state.plane)
         if deep <= 0.0:
             return 0.0
-        size = settings.stiffness * deep + settings.model_damping * state.far_side * velocity
+        size = settings.stiffness * deep + state.damped * settings.model_damping * state.far_side * velocity
         return state.far_side * size if size > 0.0 else 0.0
     stiffness = 0.0 if state.phase == LOST and settings.then == DAMP else settings.stiffness
     return stiffness * (position - state.far_position) + settings.model_damping * (velocity - state.far_velocity)
@@ -367,7 +372,12 @@ class FarPort(guarded.Guarded):
     def is_ready(self) -> bool:
         """Whether this side has earned its start."""
         state, settings = self.state, self.settings
-        return state.phase == LINKED and (state.blend > 0.0 or certain(state) >= READY * settings.level)
+        return state.phase == LINKED and (state.blend > 0.0 or certain(state) >= STARTS * settings.level)
+
+    @property
+    def held(self) -> float:
+        """Largest torque at rest [N or N*m]: that of the hand, within the limit of the loop; `reserve` is for it."""
+        return min(self.settings.torque_limit, self.hand_force or 0.0)
 
     def reserve(self, torque: float) -> float:
         """Return what the tank must hold for a torque at rest [J]: the most that it gives out while it cannot change.

@@ -266,9 +266,7 @@ def _check_far(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> No
     except ParameterError as error:
         faults.add(section.value_at("axis"), str(error))
         return
-    trip = round_trip(scene)
-    held = min(port.settings.torque_limit, port.hand_force or 0.0)
-    reserve, unit = port.reserve(held), stiffness_unit(axis.parameters.unit)
+    trip, reserve, unit = round_trip(scene), port.reserve(port.held), stiffness_unit(axis.parameters.unit)
     for key, text in faults_of(scene.far, reserve, is_real=not scene.simulated, round_trip=trip, unit=unit):
         faults.add(section.value_at(key), text)
 

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from canhaptic.axis_units import damping_unit, effort_unit, si, stiffness_unit
 from canhaptic.far.parameters import SWINGS, Coupling
-from canhaptic.far.port import PICO, READY
+from canhaptic.far.port import PICO, STARTS
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_far_port
 
@@ -43,10 +43,10 @@ def far_findings(scene: Scene) -> list[LinkFigure]:
 
 def _reserve(scene: Scene, axis: AxisScene) -> LinkFigure:
     """Return what the tank must hold for a torque as large as the declared force of the hand."""
-    port, unit, limit = build_far_port(scene, axis), effort_unit(axis.parameters.unit), axis.parameters.torque_limit
+    port, unit = build_far_port(scene, axis), effort_unit(axis.parameters.unit)
     if not port.settings.declared.by_hand_force:
         return LinkFigure("reserve", None, "J", "torques are not certified by hand force here")
-    held = min(limit, port.hand_force or 0.0)
+    limit, held = port.settings.torque_limit, port.held
     text = f"the most that a torque of {si(held, unit, 3)} (hand_force) can give out at rest before it can change;"
     text += f" at the torque limit of {si(limit, unit, 3)} it is {si(port.reserve(limit), 'J', 3)}; level is"
     return LinkFigure("reserve", port.reserve(held), "J", f"{text} {si(port.settings.level, 'J', 3)}")
@@ -83,7 +83,7 @@ def earned_after(scene: Scene, axis: AxisScene, speed: float) -> tuple[float | N
         queue = [*queue[1:], max(-settings.torque_limit, min(settings.torque_limit, balance.torque))]
         if own is None and port.is_ready:
             own = hold * time
-        if own is not None and state.sent * PICO >= READY * settings.level:
+        if own is not None and state.sent * PICO >= STARTS * settings.level:
             return own, hold * time
     return own, None
 

@@ -1,6 +1,7 @@
 """What `check` says of a link before it runs, and when a run says that the far side limited it."""
 
 import json
+from itertools import pairwise
 
 import pytest
 
@@ -58,6 +59,26 @@ def test_a_torque_is_limited_by_the_far_side_until_its_energy_has_come():
         torque = port.step(0.0, torque).torque
     assert torque == pytest.approx(5.0, abs=0.02)
     assert not port.is_limited
+
+
+def test_a_wall_that_appears_over_a_hand_raises_the_torque_in_small_steps_and_its_damping_last():
+    scene = load_scene(HAND, ["far.coupling={type: model, stiffness: 2 kN/m, damping: 8 N*s/m}"])
+    port, asked, torque = build_far_port(scene, scene.axes[0]), [], 0.0
+    state, step = port.state, 0.01 * port.settings.torque_limit
+    state.linked = state.far_ready = True
+    state.blend, state.far_side, state.received = 1.0, 1.0, 2.0 / PICO
+    for hold in range(400):
+        state.far_wall = -10e-3 if hold < 200 else -20e-3  # it appears 10 mm in front of a hand, and jumps
+        torque = port.step(0.0, torque).torque
+        asked.append(-port.asked)
+    rises = [after - before for before, after in pairwise(asked)]
+    assert asked[:3] == pytest.approx([0.0, step, 2 * step])
+    assert max(rises) <= step + 1e-9
+    assert asked[199] == pytest.approx(20.0, rel=0.01)  # at its place
+    assert asked[399] > 30.0
+    state.damped, state.is_led = 0.5, False
+    port.step(0.0, torque)
+    assert state.damped == 0.0
 
 
 def test_the_screen_names_the_far_side_while_it_limits():
