@@ -209,20 +209,48 @@ def measured(rig: Rig, x: float) -> float:
     return round(x / rig.encoder) * rig.encoder if rig.encoder > 0.0 else x
 
 
+def post(random: Any, way: Way, box: Any, full: Any, to: int, now: float, state: Any, packet: Any) -> None:
+    """Puts one copy of a packet on its way to one end; `packet` has number, position, speed, sent and the level."""
+    late = way.delay - (way.jitter * math.log(1.0 - random.random()) if way.jitter > 0.0 else 0.0)
+    if full[to] >= len(box):
+        return
+    row = box[full[to]]
+    row[0], row[1], row[2], row[3], row[4] = now + late, packet[0], packet[1], packet[2], packet[3]
+    row[5] = state.request
+    row[6] = 1.0 if state.blend > 0.0 or certain(state) >= 0.4 * packet[4] else 0.0
+    full[to] += 1
+
+
+def next_due(due: Any, rigs: Any, random: Any) -> tuple[int, float]:
+    """Returns the side whose SYNC is next, and its time; plans the SYNC after it."""
+    s = 0 if due[0] <= due[1] else 1
+    now, rig = due[s], rigs[0] if s == 0 else rigs[1]
+    due[s] = now + rig.time * (1.0 + rig.jitter * (2.0 * random.random() - 1.0))
+    return s, now
+
+
+def torque_of(s: int, settings: Any, states: Any, first: Any, second: Any, position: float, applied: float) -> float:
+    """Returns the next torque of one side's port."""
+    if s == 0:
+        balance = step(0.0, Run(settings[0], states[0], first), position, applied)
+    else:
+        balance = step(0.0, Run(settings[1], states[1], second), position, applied)
+    return balance.torque  # type: ignore[no-any-return]
+
+
 def run_pair(
     settings: Any, states: Any, rest: Any, first: Any, second: Any, rigs: Any, ways: Any, random: Any, length: float,
     mutant: int, out: Any, boxes: Any, plants: Any, room: Any, full: Any,
 ) -> None:  # fmt: skip
     """Runs one pair; `out` gets least of both, least of each side with S and R, least alone, torques and totals."""
     due, acting, waiting, newest, number, seen, bad = room[0], room[1], room[2], room[3], room[4], room[5], room[6]
-    now, restart = 0.0, 0.5 * length
+    now, restart, packet = 0.0, 0.5 * length, room[7:].reshape(-1)
     seen[0] = seen[1] = -1.0
     due[1] = 0.37 * rigs[1].time
     while now < length:
-        s = 0 if due[0] <= due[1] else 1
-        move_all(rigs, states, plants, acting, now, due[s], out)
-        now, rig = due[s], rigs[0] if s == 0 else rigs[1]
-        due[s] = now + rig.time * (1.0 + rig.jitter * (2.0 * random.random() - 1.0))
+        s, begins = next_due(due, rigs, random)
+        move_all(rigs, states, plants, acting, now, begins, out)
+        now, rig = begins, rigs[0] if s == 0 else rigs[1]
         if mutant == 11 and s == 1 and now > restart:
             restart = 1e9
             states[1] = rest[1]
@@ -230,25 +258,17 @@ def run_pair(
         state, position = states[s], measured(rig, plants[s, 0])
         full[s], seen[s] = take_packets(state, boxes[s], full[s], seen[s], now, mutant)
         applied, before = newest[s] if mutant == 7 else acting[s], state.sent
-        if s == 0:
-            torque = step(0.0, Run(settings[0], states[0], first), position, applied).torque
-        else:
-            torque = step(0.0, Run(settings[1], states[1], second), position, applied).torque
+        torque = torque_of(s, settings, states, first, second, position, applied)
         out[5] = max(out[5], abs(torque))
         acting[s], waiting[s], newest[s] = (waiting[s] if rig.delay > 0 else torque), torque, torque
         way = ways[0] if s == 0 else ways[1]
         copies, is_bad = copies_of(random, way, now, bad[s] > 0.0)
         bad[s] = 1.0 if is_bad else 0.0
+        packet[0], packet[1], packet[2], packet[4] = number[s], position, plants[s, 1], settings[s].level
+        packet[3] = state.sent - (before if mutant == 1 else 0.0)
         for _ in range(copies):
-            late = way.delay - (way.jitter * math.log(1.0 - random.random()) if way.jitter > 0.0 else 0.0)
             to = s if mutant == 10 and random.random() < 0.5 else 1 - s
-            if full[to] < len(boxes[to]):
-                packet = boxes[to, full[to]]
-                packet[0], packet[1], packet[2], packet[3] = now + late, number[s], position, plants[s, 1]
-                packet[4] = state.sent - (before if mutant == 1 else 0.0)
-                packet[5] = state.request
-                packet[6] = 1.0 if state.blend > 0.0 or certain(state) >= 0.4 * settings[s].level else 0.0
-                full[to] += 1
+            post(random, way, boxes[to], full, to, now, state, packet)
         number[s] += 1.0
     out[6], out[7] = states[0].sent * _PICO, states[1].sent * _PICO
     out[8] = max(states[0].blend, states[1].blend)
@@ -270,6 +290,51 @@ def _memory(settings: Any) -> Any:
     return memory_of(settings, lambda length: cast(Buffer, np.zeros(length)))
 
 
+def drawn_rig(random: np.random.Generator) -> Rig:
+    """Returns a random plant with its hand and its wall."""
+    has_wall = random.random() < 0.6
+    return Rig(
+        time=float((1.0 + random.uniform(-1e-4, 1e-4)) / random.choice([250.0, 500.0, 1000.0, 2000.0, 4000.0])),
+        jitter=float(random.choice([0.0, 0.0, 0.02, 0.1])), delay=int(random.integers(0, 2)),
+        mass=random.uniform(0.1, 1.0), damping=random.uniform(0.0, 1.0),
+        friction=float(random.choice([0.0, 0.1, 0.5])), encoder=float(random.choice([1e-7, 1e-6, 1e-5])),
+        wall=random.uniform(-0.03, 0.05), wall_stiffness=10.0 ** random.uniform(2.0, 4.0) if has_wall else 0.0,
+        wall_damping=random.uniform(0.0, 20.0), wall_most=float(random.choice([20.0, 200.0])),
+        hand_stiffness=float(random.choice([0.0, 100.0, 1000.0])), hand_damping=random.uniform(0.0, 10.0),
+        hand_most=random.uniform(2.0, 30.0), intent=int(random.integers(1, 4)),
+        a1=random.uniform(-0.08, 0.08), w1=random.uniform(0.5, 30.0), a2=random.uniform(-0.08, 0.08),
+        w2=random.uniform(2.0, 60.0), phase=random.uniform(0.0, 6.0),
+    )  # fmt: skip
+
+
+def declared(random: np.random.Generator, rig: Rig, coupling: Coupling) -> Any:
+    """Returns the settings of a port whose scene says of a rig what is true."""
+    strongest = rig.hand_most + (rig.wall_most if rig.wall_stiffness > 0.0 else 0.0)
+    loop = LoopProperties(
+        sample_time=rig.time, delay=rig.delay, moving_mass=0.9 * rig.mass, device_damping_bound=1.0,
+        device_friction_bound=rig.friction, sync_jitter=rig.jitter, encoder_count=rig.encoder, torque_limit=20.0,
+    )  # fmt: skip
+    far = FarParameters(
+        name="link", axis="axis", peer="loopback", coupling=coupling,
+        level=10.0 ** random.uniform(-3.0, -0.5), from_far=FromFar(energy=1e3, power=1e4),
+    )  # fmt: skip
+    return settings_of(far, GuardedParameters(hand_force=strongest, hand_push=strongest), loop)
+
+
+def drawn_way(random: np.random.Generator) -> Way:
+    """Returns a random network in one direction."""
+    begin = random.uniform(0.0, 6.0)
+    return Way(
+        float(random.choice([0.0, 0.005, 0.02, 0.05, 0.15, 0.25])),
+        float(random.choice([0.0, 0.002, 0.02, 0.1])),
+        float(random.choice([0.0, 0.01, 0.2, 0.5])),
+        float(random.choice([1.0, 5.0, 100.0])),
+        float(random.choice([0.0, 0.05])),
+        begin,
+        begin + float(random.choice([0.0, 0.5, 9.0])),
+    )
+
+
 def drawn(random: np.random.Generator) -> tuple[list[Rig], list[Any], list[Way]]:
     """Returns two random rigs, their settings as declared, and the network both ways."""
     rigs: list[Rig] = []
@@ -277,47 +342,11 @@ def drawn(random: np.random.Generator) -> tuple[list[Rig], list[Any], list[Way]]
     by_model = bool(random.random() < 0.5)
     stiffness, damping = 10.0 ** random.uniform(2.0, 4.0), random.uniform(0.0, 15.0)
     for _ in range(2):
-        has_wall = random.random() < 0.6
-        rig = Rig(
-            time=float((1.0 + random.uniform(-1e-4, 1e-4)) / random.choice([250.0, 500.0, 1000.0, 2000.0, 4000.0])),
-            jitter=float(random.choice([0.0, 0.0, 0.02, 0.1])), delay=int(random.integers(0, 2)),
-            mass=random.uniform(0.1, 1.0), damping=random.uniform(0.0, 1.0),
-            friction=float(random.choice([0.0, 0.1, 0.5])), encoder=float(random.choice([1e-7, 1e-6, 1e-5])),
-            wall=random.uniform(-0.03, 0.05), wall_stiffness=10.0 ** random.uniform(2.0, 4.0) if has_wall else 0.0,
-            wall_damping=random.uniform(0.0, 20.0), wall_most=float(random.choice([20.0, 200.0])),
-            hand_stiffness=float(random.choice([0.0, 100.0, 1000.0])), hand_damping=random.uniform(0.0, 10.0),
-            hand_most=random.uniform(2.0, 30.0), intent=int(random.integers(1, 4)),
-            a1=random.uniform(-0.08, 0.08), w1=random.uniform(0.5, 30.0), a2=random.uniform(-0.08, 0.08),
-            w2=random.uniform(2.0, 60.0), phase=random.uniform(0.0, 6.0),
-        )  # fmt: skip
-        rigs.append(rig)
-        strongest = rig.hand_most + (rig.wall_most if has_wall else 0.0)
-        loop = LoopProperties(
-            sample_time=rig.time, delay=rig.delay, moving_mass=0.9 * rig.mass, device_damping_bound=1.0,
-            device_friction_bound=rig.friction, sync_jitter=rig.jitter, encoder_count=rig.encoder, torque_limit=20.0,
-        )  # fmt: skip
+        rigs.append(drawn_rig(random))
         kind: Literal["spring", "model"] = "model" if by_model and not settings else "spring"
         coupling = Coupling(type=kind, stiffness=stiffness, damping=damping)
-        far = FarParameters(
-            name="link", axis="axis", peer="loopback", coupling=coupling,
-            level=10.0 ** random.uniform(-3.0, -0.5), from_far=FromFar(energy=1e3, power=1e4),
-        )  # fmt: skip
-        settings.append(settings_of(far, GuardedParameters(hand_force=strongest, hand_push=strongest), loop))
-    ways = []
-    for _ in range(2):
-        begin = random.uniform(0.0, 6.0)
-        ways.append(
-            Way(
-                float(random.choice([0.0, 0.005, 0.02, 0.05, 0.15, 0.25])),
-                float(random.choice([0.0, 0.002, 0.02, 0.1])),
-                float(random.choice([0.0, 0.01, 0.2, 0.5])),
-                float(random.choice([1.0, 5.0, 100.0])),
-                float(random.choice([0.0, 0.05])),
-                begin,
-                begin + float(random.choice([0.0, 0.5, 9.0])),
-            )
-        )
-    return rigs, settings, ways
+        settings.append(declared(random, rigs[-1], coupling))
+    return rigs, settings, [drawn_way(random) for _ in range(2)]
 
 
 def run(seed: int, length: float, mutant: int = 0) -> Any:
@@ -337,7 +366,7 @@ def run(seed: int, length: float, mutant: int = 0) -> Any:
     memories = [_memory(one) for one in settings]
     _runner()(
         records_of(settings, plain=True), states, states.copy(), *memories, tuple(rigs), tuple(ways), random, length,
-        mutant, out, boxes, np.zeros((2, 3)), np.zeros((7, 2)), np.zeros(2, np.int64),
+        mutant, out, boxes, np.zeros((2, 3)), np.zeros((10, 2)), np.zeros(2, np.int64),
     )  # fmt: skip
     return out
 

@@ -14,10 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from canhaptic.far.packet import Packet
+from canhaptic.cycle import running
+from canhaptic.far.packet import READY, Packet, pack, unpack
 from canhaptic.far.session import Session
 from canhaptic.far.udp import UdpLink
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.pair import Pair
 from tools.attack.far import FALSE, GIVEN, MUTANTS, campaign, run
@@ -28,6 +30,7 @@ _PACKAGES: Final = ("canhaptic", "numpy", "numba")
 _LENGTH: Final = 2.0  # of a network [s]
 _WITHIN: Final = 300
 _SERIES: Final = 1000.0 * 5000.0 / (1000.0 + 5000.0)  # both springs [N/m]
+_FASTEST: Final = 0.06 * 2.0 * np.pi * 0.5  # of the hand of `by_model` [m/s]
 _HAND: Final = "configs/far_hand.yaml"
 _WALL: Final = "configs/far_wall.yaml"
 
@@ -142,6 +145,73 @@ def by_model(round_trip: float, loss: float) -> list[Row]:
     ]
 
 
+def first_touch(round_trip: float, asked: float, seeds: int = 10) -> list[Row]:
+    """Returns what is felt of a wall at its first touch, at a round trip [ms], and how its torque begins: medians."""
+    felt, jumps, drag = [], [], 4.0 * _FASTEST
+    model = "far.coupling={type: model, stiffness: 2 kN/m, damping: 8 N*s/m}"
+    for seed in range(seeds):
+        way = f"{{delay: {0.5 * round_trip} ms, jitter: {0.05 * round_trip} ms}}"
+        changes = [f"simulation.far_network={way}", "simulation.user.motion.amplitude=60 mm", "far.silence=2 s", model]
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "a.h5"
+            scenes = load_scene(_HAND, [*changes, f"simulation.seed={seed}"]), load_scene(_WALL, ["far.silence=2 s"])
+            Pair(scenes, (path, None)).run_through(2.7, lambda: False)
+            with EnergyLog.open(path) as log:
+                position, torque = log.ports["handle"]["position"], log.ports["handle"]["torque_applied"]
+        turns, inward = slice(2400, 2600), np.flatnonzero(position[2100:] > 0.03)[0] + 2100
+        felt.append(float(np.mean(-torque[turns]) / np.mean(position[turns] - 0.03)))
+        jumps.append(float(np.abs(np.diff(torque[inward:2600])).max()))
+    value, jump, name = float(np.median(felt)), float(np.median(jumps)), f"model, {round_trip:g} ms, first touch"
+    return [
+        Row(f"{name}: felt in the 0.2 s in which the hand turns", value, "N/m", target=f">= {asked:g}",
+            met=value >= asked),
+        Row(f"{name}: largest step of the torque", jump, "N", target=f"<= {drag:.3g} (drag)", met=jump <= drag),
+    ]  # fmt: skip
+
+
+def mutated(packets: int) -> Row:
+    """Returns how many packets of a session that were changed in up to 4 bits its other side takes."""
+    draw, taken, key = np.random.default_rng(3), 0, bytes(range(32))
+    for first in range(0, packets, 1000):
+        data = pack((1, first, 77, first, first, first, 0.01, 0.1, 0, 0.0, 0.0), key)
+        places, bits = draw.integers(0, len(data), (1000, 4)), 1 << draw.integers(0, 8, (1000, 4))
+        for at, turned in zip(places.tolist(), bits.tolist(), strict=True):
+            changed = bytearray(data)
+            for place, bit in zip(at, turned, strict=True):
+                changed[place] ^= bit
+            taken += bytes(changed) != data and unpack(bytes(changed), key) is not None
+    return Row(f"{packets} mutated packets: taken", taken, "1", target="0", met=not taken)
+
+
+def flood() -> Row:
+    """Returns by how much 100 packets a SYNC from the peer's address, of the session and badly tagged, lengthen one."""
+    places = ("127.0.0.1", 47813), ("127.0.0.1", 47814)
+    link, peer = UdpLink(*places), UdpLink(*reversed(places))
+    rig, forged = build(load_scene(_HAND, ["far.silence=10 s"]), "free", to_far=(link, None)), bytes(80)
+    took: tuple[list[float], list[float]] = [], []
+    other = Session(b"", 10**6, 1e15, iter(range(1, 100)).__next__, peer.send)
+    with rig, running(rig.cycle):
+        for cycle in range(6000):
+            other.pass_time(1)
+            for data in peer.arrived():
+                other.take(data, may_begin=True)
+                forged = data[:16] + bytes(64)
+            is_flood = cycle // 100 % 2
+            for _ in range(100 * is_flood):
+                peer.send(forged)
+            other.say((READY, 0, 0, 10**9 * cycle, 0, 0, 0.0, 0.0, 0, 0.0, 0.0))
+            begin = thread_time()
+            rig.cycle.step()
+            took[is_flood].append(thread_time() - begin)
+            if cycle % 100 == 99:
+                while list(link.arrived()):
+                    pass
+    peer.close()
+    quiet, loud = (float(np.percentile(of[1000:], 99)) for of in took)
+    return Row("a flood of 100 packets a SYNC: p99 of a cycle, over that without", loud / quiet, "1",
+               target="<= 1.2", met=loud <= 1.2 * quiet)  # fmt: skip
+
+
 def packet_cost() -> Row:
     """Returns the processor time of a SYNC's packet: pack, tag, send, receive, check."""
     places = ("127.0.0.1", 47811), ("127.0.0.1", 47812)
@@ -173,7 +243,9 @@ def main() -> None:
     asked = parser.parse_args()
     cells = [(0.0, 0.0), (10.0, 5.0), (40.0, 0.0), (40.0, 20.0), (100.0, 0.0), (300.0, 0.0), (300.0, 20.0)]
     models = [row for cell in cells for row in by_model(*cell)]
-    rows = [packet_cost(), felt(0.0), felt(10.0), *models, *over_buses(asked.pairs), *mutants()]
+    touches = [*first_touch(40.0, 900.0), *first_touch(100.0, 350.0)]
+    rows = [packet_cost(), flood(), mutated(10**6), felt(0.0), felt(10.0), *models, *touches]
+    rows += [*over_buses(asked.pairs), *mutants()]
     publish("far_worlds", [*networks(asked.networks, asked.minutes, asked.jobs), *rows], _PACKAGES)
 
 
