@@ -37,8 +37,6 @@ from tools.make_esi import make_two_revisions
 
 _ROOT: Final = Path(__file__).resolve().parents[2]
 _RECORDED: Final = _ROOT / "docs" / "results" / "ethercat.json"
-NAMES: Final = ("pysoem_start", "pysoem_run", "watchdog", "foreign", "captures", "esi", "emergencies")
-"""First words of the rows of this half."""
 _CYCLES: Final = 10_000
 _KILLS: Final = 20
 _RATIO: Final = 1.3
@@ -302,20 +300,21 @@ def esi(folder: Path, scratch: Path) -> Iterator[Row]:
     yield Row("esi: one file, two revisions, two verdicts", int(both), "", target="1", met=both)
 
 
-def with_the_other_half(rows: list[Row], *, is_wire: bool) -> list[Row]:
-    """Returns rows with those of the other half as they were recorded last.
+def with_recorded(rows: list[Row]) -> list[Row]:
+    """Returns rows in the place of those of the same kind that were recorded last, which is the name before the colon.
 
     Args:
-        rows: Rows of one half.
-        is_wire: Whether they are those on a wire.
+        rows: Rows of some kinds.
     """
     path = out_folder() / "ethercat.json"
     path = path if path.is_file() else _RECORDED
-    if not path.is_file():
-        return rows
-    recorded = [Row(**of) for of in json.loads(path.read_text(encoding="utf-8"))["rows"]]
-    others = [of for of in recorded if of.row.partition(":")[0] in NAMES]
-    return [*(of for of in recorded if of not in others), *rows] if is_wire else [*rows, *others]
+    recorded = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.is_file() else []
+    of_kind = dict[str, list[Row]]()
+    for row in (Row(**of) for of in recorded):
+        of_kind.setdefault(row.row.partition(":")[0], []).append(row)
+    for kind in {row.row.partition(":")[0]: None for row in rows}:
+        of_kind[kind] = [row for row in rows if row.row.partition(":")[0] == kind]
+    return [row for several in of_kind.values() for row in several]
 
 
 def main() -> None:
@@ -331,7 +330,7 @@ def main() -> None:
         if folder != Path() and folder.is_dir():
             rows += [*captures(folder), *esi(folder, scratch)]
         rows += [*watchdog(max(2, _KILLS // part)), *pysoem_run(scratch, _CYCLES // part)]
-    publish("ethercat", with_the_other_half(rows, is_wire=True), ["canhaptic", "numpy", "pysoem", "kickcat"])
+    publish("ethercat", with_recorded(rows), ["canhaptic", "numpy", "pysoem", "kickcat"])
 
 
 if __name__ == "__main__":
