@@ -38,6 +38,7 @@ class Exchange:
         self.now, self.wait_until = self.clock.now, self.clock.wait_until
         self.sample_time_ns, self.silence = bus.sample_time_ns, bus.master_silence_ns
         self.pace = Pace(bus.sample_time_ns)
+        self.pace.times_holds = not all(one.clock_leader for one in self.buses)
         for one in self.buses:
             one.lead(self.pace)
         self._window_ns = self._first.window_ns

@@ -15,27 +15,30 @@ class Pace:
         due: Deadline of the next SYNC [ns].
         deadline: Deadline of the last SYNC [ns].
         periods: Sample times between the last two SYNCs; more than 1 after a skip.
-        uneven: Duration of the last hold minus its whole sample times [ns].
+        uneven: Duration of the last hold minus its whole sample times, as the clock that leads shows them [ns].
         skipped: Deadlines missed and skipped since `begin`.
         synced: Time at which the last SYNC was sent [ns].
         shifted: Time by which deadlines were moved forward in all, to follow the clock of a drive [ns].
+        times_holds: Whether SYNC times the holds of some drive, and not the clock of a drive that of all.
     """
 
     def __init__(self, period: int) -> None:
         self.period = period
         self._latest = period // 2  # a deadline missed by more is skipped
+        self.times_holds = True
         self.begin(0)
 
     def begin(self, now: int) -> None:
         """Restart the schedule: the next SYNC is due now, and later deadlines count from it."""
         self.periods = 1
-        self.uneven = self.skipped = self.shifted = 0
+        self.uneven = self.skipped = self.shifted = self._moved = 0
         self.due = self.deadline = self.synced = self._logged = now
 
     def shift(self, forward: int) -> None:
         """Move the next deadline forward by a time [ns], as the clock of a drive demands."""
         self.due -= forward
         self.shifted += forward
+        self._moved += forward
 
     def index_after(self, first: int) -> int:
         """Return the sample times from a deadline [ns], itself unshifted, to the last one."""
@@ -60,7 +63,8 @@ class Pace:
         period, latest = self.period, self._latest
         logged = synced - synced % 1000  # to the microsecond, as a bus log keeps it: a replay counts the same periods
         self.periods = periods = (logged - self._logged + latest) // period or 1
-        self.uneven = abs(synced - self.synced - periods * period)
+        self.uneven = abs(synced - self.synced - periods * period + self._moved)
+        self._moved = 0
         self.synced, self._logged = synced, logged
         if synced - self.deadline > latest:  # held up after the wait: the next must not follow at once
             self._skip(synced - self.deadline)

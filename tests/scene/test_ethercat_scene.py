@@ -10,6 +10,7 @@ import yaml
 from canhaptic.audit.inspection import inspect
 from canhaptic.cli.main import main
 from canhaptic.control.verdict import COUNTS_DISAGREE
+from canhaptic.cycle import run as run_cycle
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import HoldsContradictedError, InputError, SceneError
 from canhaptic.logs.energy_reader import EnergyLog
@@ -147,6 +148,22 @@ def test_each_kind_of_bus_has_its_own_faults_in_one_rig() -> None:
     assert error is None
     assert account["bus_effects"]["arm"]["lost"] > 0
     assert account["link"]["missed_tpdos"] > account["link"]["unanswered"] > 0
+
+
+@pytest.mark.parametrize(("make", "voided"), [(both, 2), (lambda: yaml.safe_load(SCENE.read_text()), 0)])
+def test_a_late_sync_voids_certificates_where_a_drive_on_can_takes_its_hold_from_it(make: Any, voided: int) -> None:
+    scene = make()
+    scene["simulation"]["bus"] = {"drift": "90 ppm"}
+    experiment = build(scene_from_mapping(scene, str(SCENE)))
+    rig, clock = experiment.rig, experiment.clock
+
+    def late(cycles: int) -> None:
+        if cycles == 20:
+            clock.wait_until(rig._pace.due + rig.bus.sample_time_ns // 5)
+
+    with experiment:
+        run_cycle(experiment.cycle, 40, progress=late)
+    assert experiment.cycle.uneven == voided
 
 
 @pytest.mark.parametrize(

@@ -129,7 +129,8 @@ class EthercatBusCycle:
             pace.shifted += (hold - taken - passed) * self._period
         self._mark = pace.deadline + pace.shifted
         self._slipped, self._taken, self._counted = 0, hold, 0
-        pace.uneven = 0  # the drive's clock times the holds
+        if not pace.times_holds:
+            pace.uneven = 0
         inputs, now, left = answer.inputs, self.clock.now(), pace.synced
         pace.shift(self.lock.follow(answer.dc_time, left - pace.deadline, now - left))
         for drive in self.drives:
