@@ -42,7 +42,7 @@ class HeldTorques(Protocol):
     longest_hold: int
     longest_gap: int
     uncommanded: int
-    open_time: int
+    open_time: int | None
     open_torque: float
 
 
@@ -266,7 +266,7 @@ class AxisPort(PortFigures):
                 low, high = self.reach
                 if not low <= position <= high:
                     self.reach = min(low, position), max(high, position)
-            if drive.open_time:
+            if drive.open_time is not None:
                 exact = balance.supplied - torque * (position - before)
                 meter.leave_open(drive.open_torque, drive.open_time, abs(exact - balance.h_i))
             if (asked := meter.asked) != 0.0:

@@ -262,7 +262,7 @@ class _Heard:
     longest_hold: int = 1
     longest_gap: int = 1
     uncommanded: int = 0
-    open_time: int = 0
+    open_time: int | None = None
     open_torque: float = 0.0
 
     def take(self, sample: Sample, periods: int, shows_demand: bool) -> None:

@@ -24,7 +24,9 @@ is bounded by the declared largest speed v of the axis alone (`speed_limit`; a f
 
 with T_n as well if the last torque is not read back for its own hold, plus the energy that the algorithm subtracted. It
 is a bound for every hand, and large for a slow one; an algorithm with a declared hand force has a smaller bound
-(`certified_torque`).
+(`certified_torque`). What an algorithm subtracts, it subtracts for SYNCs without a sample, and these may be more than
+the holds n: two frames of an EtherCAT line may lie in one hold. Booked minus -f D is known exactly, so its size is
+added after every lost sample, also where n = 1 leaves no torque open: the bound above is that of the rest.
 
 **Device.** A damping of at least b dissipates at least b D^2 / t in a time t in which the axis moves by D
 (Cauchy-Schwarz), for every torque. A dry friction of at least f_c dissipates f_c along its path. The path is at

@@ -10,6 +10,10 @@ import pytest
 from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.motion_checks import FrictionDeclared, FrictionWatch
+from canhaptic.control.passivity import LoopProperties
+from canhaptic.control.passivity.unprotected import Unprotected
+from canhaptic.meters import AxisPort
+from canhaptic.signals import Sample
 
 T = 1e-3
 
@@ -169,3 +173,24 @@ def test_a_silent_meter_books_the_least_and_gives_its_motion_to_the_fit() -> Non
     meter.take(0.5, 1.0, 3, touches=False)
     assert (meter.felt, taken) == (felt, [(0.5, 1.0, 3)])
     assert (SilentMeter.books_least, AxisMeter.books_least, AxisMeter.felt) == (True, False, None)
+
+
+@pytest.mark.parametrize("open_time", [0, 1])
+def test_what_an_algorithm_takes_off_for_a_lost_sample_is_uncertain_in_however_few_holds(open_time: int) -> None:
+    """It counts a hold for each SYNC; where both were of one hold, the torque read back leaves no sample time open."""
+    wall = SpringDamperWall(stiffness=1000.0)
+    controller = Unprotected(wall, Unprotected.parameters_type(), LoopProperties(sample_time=T, delay=1))
+    drive: Any = SimpleNamespace(read_back_bound=0.0, longest_hold=1, uncommanded=0, open_time=None, open_torque=0.0)
+    port = AxisPort(AxisMeter(Accuracy(sample_time=T)), drive, controller)
+    true = last = 0.0
+    for row, (position, torque, is_lost) in enumerate(
+        [(0.0, 0.0, False), (-1e-3, 0.0, False), (-3e-3, 0.0, False), (-3e-3, 0.0, True), (-4e-3, 1.5, False)]
+    ):
+        balance = controller.sample_lost() if is_lost else controller.step(position, torque)
+        port.ledger.add(balance, row, row)
+        drive.open_time = open_time if row == 4 else None
+        port.take(Sample(row, position, torque, 0, fresh=not is_lost), balance, row)
+        true, last = true - torque * (position - last), position
+    error = abs(port.ledger.interaction - true)
+    assert error > 1e-3
+    assert port.measured().energy_resolution == pytest.approx(error, rel=1e-12)

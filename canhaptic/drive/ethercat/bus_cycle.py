@@ -45,7 +45,7 @@ class EthercatBusCycle:
         lock: Lock of the host on SYNC0.
         is_running: Whether SYNC0 runs and the image is mapped.
         held: Counts of held torques.
-        slip: Sample times to add to those that the last deadline seems to be after the one before; 0 or less.
+        slip: Sample times to add to those between the last two deadlines, which are 1 at least; 0 or less.
         low: Answers with a low counter.
     """
 
@@ -114,16 +114,17 @@ class EthercatBusCycle:
             return self._miss("an answer of all drives")
         if answer.states != _OP:
             self._look_at_states()
-        hold = self.lock.hold_of(answer.dc_time)
+        hold, now, left = self.lock.hold_of(answer.dc_time), self.clock.now(), pace.synced
         if hold - taken != counted and taken >= 0:
-            slip = hold - taken - counted
-            if hold <= taken or 0 < slip != self._slipped:
-                self._slipped = slip
+            slip, was_slow = hold - taken - counted, self.lock.was_slow(now - left)
+            if hold <= taken or (slip > 0 and (was_slow or slip != self._slipped)):
+                self._slipped = 0 if was_slow else slip
                 self.late += 1
                 return self._miss("a frame in its own hold")
             # the host itself has slipped: its deadlines belong to other holds than it counted
-            pace.periods += max(0, slip)
-            self.slip = min(0, slip)
+            counts = max(1, pace.periods + slip)
+            self.slip = min(0, pace.periods + slip - counts)
+            pace.periods = counts
         if taken >= 0:  # a frame that left late or early may round to another count than its deadline
             passed = (pace.deadline + pace.shifted - self._mark + self._period // 2) // self._period
             pace.shifted += (hold - taken - passed) * self._period
@@ -131,7 +132,7 @@ class EthercatBusCycle:
         self._slipped, self._taken, self._counted = 0, hold, 0
         if not pace.times_holds:
             pace.uneven = 0
-        inputs, now, left = answer.inputs, self.clock.now(), pace.synced
+        inputs = answer.inputs
         pace.shift(self.lock.follow(answer.dc_time, left - pace.deadline, now - left))
         for drive in self.drives:
             drive.take(inputs, now)

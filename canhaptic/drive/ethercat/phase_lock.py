@@ -57,6 +57,14 @@ class PhaseLock:
         """Return the index of the hold of a system time: hold 0 begins at `first`."""
         return (dc_time - self.first) // self._period
 
+    def was_slow(self, taken: int) -> bool:
+        """Whether a frame was on the way for longer than usual: it says nothing of the host's own phase.
+
+        Args:
+            taken: Time from its departure until its answer [ns].
+        """
+        return taken - self._usual > self.close_ns and self._usual >= 0
+
     def follow(self, dc_time: int, late: int = 0, taken: int = 0) -> int:
         """Return how much earlier the next frame must leave [ns].
 
@@ -72,9 +80,9 @@ class PhaseLock:
             if self._usual < 0:
                 self._usual = taken
             longer = taken - self._usual
-            step = period >> _USUAL
+            was_slow, step = self.was_slow(taken), period >> _USUAL
             self._usual += max(-step, min(step, longer))
-            if longer > self.close_ns:
+            if was_slow:
                 return round(self._integral)
         if late:
             error = (error - late + half) % period - half

@@ -161,7 +161,7 @@ class TorqueAxis(ABC):
             SYNCs, missed TPDOs and lost RPDOs (as far as the demand read back shows) in a row add up.
         longest_gap: Most sample times between two SYNCs since the last `reset`: 1 where none was skipped.
         open_time, open_torque: Sample times before the last whole sample in which another torque than its own may have
-            acted, and the largest difference between them [N*m or N].
+            acted, and the largest difference between them [N*m or N]; `open_time` is None where no sample was lost.
         disagreement: How the drive's count of held torques contradicts the host's at the end, in words; "" where it
             does not, or the drive has none.
         emergency: The first EMCY with an error code since the last `reset`; None when there was none.
@@ -241,7 +241,8 @@ class TorqueAxis(ABC):
         self._step = 0.0  # mean displacement per sample time since the last process data [rad or m]
         self._periods = 0  # sample times since the last process data
         self.longest_hold = self.longest_gap = 1
-        self.uncommanded = self.unchanged = self.open_time = 0
+        self.uncommanded = self.unchanged = 0
+        self.open_time: int | None = None
         self.open_torque = 0.0
         self._passed: list[int] = []  # per mille: commands that acted, or should have, since the last process data
         self._contest: tuple[float, float] | None = None  # distance of other data of the last sample: position, torque
@@ -451,7 +452,7 @@ class TorqueAxis(ABC):
             self._followed = accounted
         else:
             self._judge_demand(reported, accounted)
-        self.open_time = self._leave_open(reported, accounted) if self._passed else 0
+        self.open_time = self._leave_open(reported, accounted) if self._passed else None
         self._held_before = reported
         return reported
 

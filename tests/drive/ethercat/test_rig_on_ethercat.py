@@ -189,13 +189,31 @@ def test_a_host_that_is_held_up_before_its_frame_counts_the_holds_of_the_drives(
         return ask(bench.clock.now())
 
     bench.line.ask = ask_late
-    counted = []
+    counted, passed = [], 0
     for k in range(40):
         held_up[:] = [late] if k == 10 else []
         bench.rig.sync()
         bench.rig.write_torques([0.0])
+        passed += bench.rig.periods * (k > 0)  # what the algorithms are told
         if bench.axes[0].is_complete:
             counted.append((bench.rig.deadline_index, bench.line._taken))
+            assert passed == bench.rig.deadline_index
     assert len(counted) > 30
     assert {hold - index for index, hold in counted} == {counted[0][1] - counted[0][0]}
+    bench.rig.stop()
+
+
+def test_two_late_frames_in_a_row_are_no_slip_of_the_host_and_no_two_samples_are_of_one_hold() -> None:
+    bench = Bench(loss_limit=1.0)
+    bench.rig.start()
+    kinds = iter(([Fault.NONE, Fault.LATE] * 2 + [Fault.NONE] * 12) * 4)
+    bench.cable.draw = lambda: next(kinds, Fault.NONE)
+    seen, passed = [], 0
+    for k in range(40):
+        [sample] = bench.rig.sync()
+        bench.rig.write_torques([1.0])
+        passed += bench.rig.periods * (k > 0)
+        seen.append((sample.fresh, bench.rig.deadline_index, passed))
+    assert sum(not fresh for fresh, _, _ in seen) == 8
+    assert all(index == count == k for k, (_, index, count) in enumerate(seen))
     bench.rig.stop()
