@@ -30,16 +30,30 @@ class JoinedLogs(TypedDict):
     holds: bool  # whether that is so, and the least sum is 0 within its resolution
 
 
+class Course(NamedTuple):
+    """What two logs of one link say at each SYNC of the first one in their common session; energies in [J].
+
+    Of the other rig a column has the SYNC whose packet the first one had seen last.
+    """
+
+    time: Array  # of the SYNC [s]
+    energies: tuple[Array, Array]  # came in at the motor of each rig since the start
+    least: Array  # least sum of both over the cuts that are consistent with this SYNC; NaN without one
+    under_way: Array  # sent and not received, both ways
+    given_up: Array  # by both
+
+
 class _Side(NamedTuple):
     """Columns of one log in the common session, and what came in before it."""
 
+    time: Array  # [s]
     energy: Array  # came in at the motor since the start [J]
     sequence: Array  # of the packet of each SYNC
     seen: Array  # largest number of a packet of the other side
     booked: Array  # R [pJ]
     sent: Array  # S [pJ]
+    given_up: Array  # since the start [J]
     resolution: float
-    given_up: float
 
 
 def joined(first: EnergyLog, second: EnergyLog) -> JoinedLogs:
@@ -48,6 +62,35 @@ def joined(first: EnergyLog, second: EnergyLog) -> JoinedLogs:
     Raises:
         InputError: A log has no far side, or they have no session in common.
     """
+    session, a, b = _sides(first, second)
+    sums, widest = _sums(a, b)
+    least = min(0.0, float(np.nanmin(sums, initial=0.0)))
+    agrees = _came_from(a, b) and _came_from(b, a)
+    under_way = (a.sent[-1] - b.booked[-1]) + (b.sent[-1] - a.booked[-1])
+    resolution = a.resolution + b.resolution
+    return {
+        "session": session,
+        "least": least,
+        "resolution": resolution,
+        "widest": widest,
+        "under_way": float(max(0.0, under_way)) * _PICO,
+        "given_up": float(a.given_up[-1] + b.given_up[-1]),
+        "agrees": agrees,
+        "holds": agrees and least + resolution >= -ROUNDING,
+    }
+
+
+def course(first: EnergyLog, second: EnergyLog) -> Course:
+    """Return what two logs of one link say over the SYNCs of the first one; errors as for `joined`."""
+    _, a, b = _sides(first, second)
+    seen = np.clip(np.searchsorted(b.sequence, a.seen), 0, len(b.energy) - 1)
+    under_way = (a.sent - b.booked[seen]) + (b.sent[seen] - a.booked)
+    both = a.energy, b.energy[seen]
+    return Course(a.time, both, _sums(a, b)[0], _PICO * np.maximum(0.0, under_way), a.given_up + b.given_up[seen])
+
+
+def _sides(first: EnergyLog, second: EnergyLog) -> tuple[int, _Side, _Side]:
+    """Return the number of the longest session that both logs have, and the columns of each in it."""
     if first.far is None or second.far is None:
         raise InputError(f"{first.path}, {second.path}: expected two logs with a far side")
     found = first.far, second.far
@@ -57,20 +100,7 @@ def joined(first: EnergyLog, second: EnergyLog) -> JoinedLogs:
         raise InputError(f"{first.path}, {second.path}: have no session in common; inspect the two logs of one link")
     session = max(common, key=lambda number: int(numbers[0][number]))
     a, b = (_side(log, far, session) for log, far in zip((first, second), found, strict=True))
-    least, widest = _least_sum(a, b)
-    agrees = _came_from(a, b) and _came_from(b, a)
-    under_way = (a.sent[-1] - b.booked[-1]) + (b.sent[-1] - a.booked[-1])
-    resolution = a.resolution + b.resolution
-    return {
-        "session": int(session),
-        "least": least,
-        "resolution": resolution,
-        "widest": widest,
-        "under_way": float(max(0.0, under_way)) * _PICO,
-        "given_up": a.given_up + b.given_up,
-        "agrees": agrees,
-        "holds": agrees and least + resolution >= -ROUNDING,
-    }
+    return int(session), a, b
 
 
 def _side(log: EnergyLog, far: Quantities, session: int) -> _Side:
@@ -79,21 +109,22 @@ def _side(log: EnergyLog, far: Quantities, session: int) -> _Side:
     port, rows = log.ports[name], far["session"] == session
     energy = np.cumsum(port["interaction"] - port["supplied"], dtype=np.longdouble) + port["device_dissipated"]
     return _Side(
-        np.asarray(energy[rows], dtype=float), far["sequence"][rows], far["seen"][rows], far["booked"][rows],
-        far["sent"][rows], float(port["energy_resolution"][rows].max(initial=0.0)), float(port["leaked"].sum()),
+        log.sample_time * np.flatnonzero(rows), np.asarray(energy[rows], dtype=float), far["sequence"][rows],
+        far["seen"][rows], far["booked"][rows], far["sent"][rows], np.cumsum(port["leaked"])[rows],
+        float(port["energy_resolution"][rows].max(initial=0.0)),
     )  # fmt: skip
 
 
-def _least_sum(a: _Side, b: _Side) -> tuple[float, int]:
-    """Return the least sum over all consistent cuts [J], and the most SYNCs between which one can lie."""
+def _sums(a: _Side, b: _Side) -> tuple[Array, int]:
+    """Return the least sum over the cuts of each SYNC of A [J], and the most SYNCs of B between which one can lie."""
     low = np.searchsorted(b.sequence, a.seen)
     high = np.searchsorted(np.maximum.accumulate(b.seen), a.sequence)
     low = np.clip(low, 0, len(b.energy) - 1)
-    least, widest = 0.0, 0
-    for begin, end, energy in zip(low.tolist(), high.tolist(), a.energy.tolist(), strict=True):
+    sums, widest = np.full(len(a.energy), np.nan), 0
+    for row, (begin, end) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
         if begin < end:
-            least, widest = min(least, energy + float(b.energy[begin:end].min())), max(widest, end - begin)
-    return least, widest
+            sums[row], widest = a.energy[row] + b.energy[begin:end].min(), max(widest, end - begin)
+    return sums, widest
 
 
 def _came_from(a: _Side, b: _Side) -> bool:

@@ -194,6 +194,10 @@ def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespa
                 from canhaptic.view.state_lanes import draw_buzz
 
                 draw_buzz(log, result["why"], rows_to_draw(log, arguments.start, arguments.stop), path)
+            elif "pair" in result:
+                from canhaptic.view.pair_picture import draw_pair
+
+                draw_pair(log, others[0], path)
             else:
                 span = arguments.start, arguments.stop
                 draw_energy(log, path, *span, others, arguments.panels, arguments.width)

@@ -4,10 +4,11 @@ import json
 import shutil
 
 import h5py
+import numpy as np
 import pytest
 
 from canhaptic.audit.recompute import recompute_all
-from canhaptic.audit.two_logs import joined
+from canhaptic.audit.two_logs import course, joined
 from canhaptic.cli.main import main
 from canhaptic.cycle import running
 from canhaptic.errors import InputError, SceneError
@@ -128,7 +129,11 @@ def test_a_rig_without_its_other_side_and_a_program_on_its_axis_are_refused(tmp_
 def test_two_logs_are_joined_by_their_packets_and_a_log_that_hides_energy_fails(run, tmp_path):
     first, second = run[1]
     with EnergyLog.open(first) as log, EnergyLog.open(second) as other:
-        found = joined(log, other)
+        found, known = joined(log, other), course(log, other)
+    assert np.nanmin(known.least) >= min(0.0, found["least"])
+    assert (known.least <= known.energies[0] + known.energies[1] + 1e-15)[~np.isnan(known.least)].all()
+    assert min(known.under_way) >= 0.0 < max(known.under_way)
+    assert known.given_up[-1] >= known.given_up[0]
     assert (found["holds"], found["agrees"]) == (True, True)
     assert found["least"] >= -found["resolution"]
     assert 1 < found["widest"] < 40  # SYNCs in a round trip
@@ -145,6 +150,15 @@ def test_two_logs_are_joined_by_their_packets_and_a_log_that_hides_energy_fails(
         file["far/session"][:] += 1
     with EnergyLog.open(first) as log, EnergyLog.open(hidden) as other, pytest.raises(InputError, match="no session"):
         joined(log, other)
+
+
+@pytest.mark.slow
+def test_two_logs_of_one_link_are_drawn_as_one_picture(run, tmp_path):
+    picture = tmp_path / "both.svg"
+    assert main(["inspect", *map(str, run[1]), "--svg", str(picture)]) == 0
+    drawn = picture.read_text(encoding="utf-8")
+    names = "came in at a.h5", "came in at a.far.h5", "least sum by the packets", "under way", "given up by both"
+    assert all(text in drawn for text in names)
 
 
 @pytest.mark.slow
