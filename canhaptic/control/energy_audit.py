@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from canhaptic.control.balance import Branch, EnergyBalance
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.ports import Ports
-from canhaptic.signals import Truth
+from canhaptic.signals import PlantEnergy, Truth
 
 _HELD = Branch.HELD.value
 
@@ -49,12 +49,13 @@ class EnergyAudit:
             ledger = ledgers[axis]
             self._take(axis, ledger.supplied - motor, dissipated, ledger.interaction, balances[axis].branch != _HELD)
         for port in self._several:
-            true = -sum([truths[axis].energy.motor for axis in port.axes])
-            dissipated = sum([truths[axis].energy.dissipated for axis in port.axes])
+            energies = [truths[axis].energy for axis in port.axes]
+            motor, user, dissipated, stored = map(sum, zip(*energies, strict=True))
             accounted = sum([ledgers[axis].interaction for axis in port.axes])
             booked, supplied = balances[port.row].branch != _HELD, ledgers[port.row].supplied
-            self._take(port.row, true, dissipated, accounted, booked, supplied)
-            truths = [*truths, port.truth(truths, supplied)]
+            self._take(port.row, -motor, dissipated, accounted, booked, supplied)
+            of_port = PlantEnergy(motor - supplied, user, dissipated, stored)  # what a mover gave counts as of motors
+            truths = [*truths, Truth(0.0, of_port)]
         return truths
 
     def _take(

@@ -16,7 +16,7 @@ from warnings import catch_warnings
 from canhaptic.cli.options import read
 from canhaptic.errors import InputError, OverrideWarning
 from canhaptic.lab.batch import Engine
-from canhaptic.lab.studies.compare import Comparison
+from canhaptic.lab.studies.compare import Case, Comparison
 from canhaptic.lab.studies.compare import compare as compare_algorithms
 from canhaptic.quantities import OLD_FIGURES
 from canhaptic.scene.models import Scene
@@ -76,15 +76,15 @@ def compare(
         "engine": engine, "repeats": repeats, "progress": progress,
     }  # fmt: skip
     loaded = load_any(scene, changes or {}, allow_code)
-    names = None if asked is None else [one for one in asked if isinstance(one, str)]
-    found = [] if names == [] and asked else [compare_algorithms(loaded, names, **options)]
+    every: list[str | Case] = []
     for own in asked or ():
-        if not isinstance(own, str):
-            name, laid = _in_place_of_the_algorithm(own)
-            with catch_warnings(action="ignore", category=OverrideWarning):  # it has parameters of its own
-                under = load_any(scene, {**(changes or {}), **laid}, allow_code)
-            found.append(_renamed(compare_algorithms(under, [name], **options), name, own.__name__))
-    return _merged(found, [one if isinstance(one, str) else one.__name__ for one in asked or ()])
+        if isinstance(own, str):
+            every.append(own)
+            continue
+        name, laid = _in_place_of_the_algorithm(own)
+        with catch_warnings(action="ignore", category=OverrideWarning):  # it has parameters of its own
+            every.append(Case(load_any(scene, {**(changes or {}), **laid}, allow_code), name, own.__name__))
+    return compare_algorithms(loaded, every, **options)
 
 
 def _in_place_of_the_algorithm(own: object) -> tuple[str, _Changes]:
@@ -101,26 +101,6 @@ def _in_place_of_the_algorithm(own: object) -> tuple[str, _Changes]:
     except (KeyError, TypeError) as error:
         text = f"got {own!r}, expected the name of an algorithm, or a class or a function that is one"
         raise InputError(f"algorithms: {text} ({error})") from error
-
-
-def _renamed(of: Comparison, name: str, shown: str) -> Comparison:
-    for axis in of.result["axes"].values():
-        axis["algorithms"] = {shown: axis["algorithms"][name]}
-    for runs in (axis.runs for axis in of.axes):
-        runs |= {shown: runs.pop(name)} if name in runs else {}
-    return of
-
-
-def _merged(found: Sequence[Comparison], order: Sequence[str]) -> Comparison:
-    """Return one comparison of all algorithms; its references and accounts are those of the first."""
-    first = found[0]
-    for name, axis in first.result["axes"].items() if len(found) > 1 else ():
-        every = {key: of for one in found for key, of in one.result["axes"][name]["algorithms"].items()}
-        axis["algorithms"] = {key: every[key] for key in order}
-    for place, axis in enumerate(first.axes):
-        for one in found[1:]:
-            axis.runs.update(one.axes[place].runs)
-    return first
 
 
 def sweep(

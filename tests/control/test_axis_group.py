@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import pytest
 
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
+from canhaptic.control.energy_audit import EnergyAudit
+from canhaptic.control.ledger import Ledger
 from canhaptic.control.mechanisms.kinematics import Limit
 from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupBalance
 from canhaptic.control.ports import Port, Ports
@@ -87,5 +89,15 @@ def test_the_row_of_a_group_has_the_norm_of_its_torques_and_every_bit_of_its_axe
     group = AxisGroup("pair", (0, 2), 3, Group())
     row = group.sample([sample(1.0, 3.0, word=0x27), sample(9.0, 9.0, word=0xFFFF), sample(2.0, 4.0, word=0x827)])
     assert row == Sample(4, 0.0, 5.0, 0x827, True)
+
+
+def test_the_true_energies_of_a_group_are_those_of_its_axes_and_of_a_mover() -> None:
+    ports, ledgers = Ports([Port("alone", (1,), 1, Alone()), AxisGroup("pair", (0, 2), 3, Group())]), [Ledger()] * 3
     truths = [Truth(0.1 * i, PlantEnergy(1.0 * i, 2.0, 3.0, 4.0)) for i in range(3)]
-    assert group.truth(truths, 0.5) == Truth(0.0, PlantEnergy(1.5, 4.0, 6.0, 8.0))
+    account = Ledger()
+    account.add(AT_REST._replace(supplied=0.5, h_i=0.5, h_dis=0.5, h_s=0.5), 0)
+    audit = EnergyAudit(ports)
+    *own, found = audit.compare([*ledgers, account], truths, [AT_REST] * 4)
+    assert own == truths
+    assert found == Truth(0.0, PlantEnergy(1.5, 4.0, 6.0, 8.0))
+    assert (audit.interaction[3], audit.dissipated[3]) == (-1.5, 6.0)

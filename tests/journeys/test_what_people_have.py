@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from canhaptic.control.damping import DamperVelocity
 from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.control.passivity.unprotected import Reply, sampled_kernel
 from canhaptic.errors import InputError, SceneError
+from canhaptic.lab.studies import compare
 from canhaptic.scene import given, own_code
 
 Cell = Callable[[str], dict[str, Any]]
@@ -112,7 +114,10 @@ class Half(SteppedController):
     kernel = sampled_kernel(lambda run, hold, asked: Reply(0.5, 0.5 * asked.spring, 0.0, 0.0, 0.0))
 
 
-def test_algorithms_of_ones_own_are_compared_by_their_names() -> None:
+def test_algorithms_of_ones_own_are_compared_by_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    solved = Mock(wraps=compare.reference_of)
+    monkeypatch.setattr(compare, "reference_of", solved)
+
     def third(run: Any, hold: Any, asked: Any) -> Reply:
         return Reply(0.3, 0.3 * asked.spring, 0.0, 0.0, 0.0)
 
@@ -120,6 +125,7 @@ def test_algorithms_of_ones_own_are_compared_by_their_names() -> None:
     [axis] = found.axes
     assert list(found.result["axes"]["handle"]["algorithms"]) == ["Half", "unprotected", "third"]
     assert set(axis.runs) == {"Half", "unprotected", "third"}
+    assert solved.call_count == 1  # one continuous run for all of them
     with pytest.raises(InputError, match="expected the name of an algorithm, or a class or a function"):
         canhaptic.compare("demo", [canhaptic.Environment])
     with pytest.raises(InputError, match="expected names; give it as changes"):

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
 from canhaptic.control.mechanisms.kinematics import Limit
 from canhaptic.control.ports import Port
-from canhaptic.signals import PlantEnergy, Sample, Truth
+from canhaptic.signals import Sample
 
 
 class GroupBalance(NamedTuple):
@@ -168,17 +168,6 @@ class AxisGroup(Port):
             square += sample.torque_applied * sample.torque_applied
             fresh = fresh and sample.fresh
         return Sample(samples[0].sync_index, 0.0, square**0.5, words, fresh)
-
-    def truth(self, truths: Sequence[Truth], supplied: float) -> Truth:
-        """Return the sum of the true energies of the group's axes; work of a mover counts as work of a motor.
-
-        Args:
-            truths: True energies, one for each axis of the rig.
-            supplied: Energy that the account has received other than by motors [J].
-        """
-        energies = [truths[axis].energy for axis in self.axes]
-        motor, user, dissipated, stored = (sum(parts) for parts in zip(*energies, strict=True))
-        return Truth(0.0, PlantEnergy(motor - supplied, user, dissipated, stored))
 
 
 def _axis_balance(torque: float, h_i: float, branch: int, certificate: int) -> EnergyBalance:

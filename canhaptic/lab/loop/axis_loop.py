@@ -466,6 +466,14 @@ def under(scene: Scene, name: str) -> UnderAlgorithm:
     return UnderAlgorithm(replace(scene, axes=tuple(axes), groups=groups), remark, from_plant)
 
 
+def tried(scene: Scene, name: str) -> UnderAlgorithm:
+    """Return a scene under an algorithm as `under` does, or the reason why the algorithm refuses it."""
+    try:
+        return under(scene, name)
+    except ParameterError as error:
+        return UnderAlgorithm(None, f"refused: {error}")
+
+
 def _able(axis: AxisScene, name: str, scene: Scene) -> tuple[AxisScene, tuple[str, ...]]:
     """Return an axis under an algorithm, and the names of the properties that were taken from its plant."""
     displays = axis.parameters.admittance is not None

@@ -11,7 +11,7 @@ neither has a continuous reference.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, product
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -51,6 +51,14 @@ class Comparison:
     sample_time: float
 
 
+class Case(NamedTuple):
+    """One column of a comparison."""
+
+    scene: Scene  # the scene of the comparison, but for the parameters of a user's own algorithm
+    algorithm: str  # its name in that scene
+    shown: str  # its name in the result
+
+
 def compared_algorithms(scene: Scene, algorithms: Sequence[str] | None) -> list[str]:
     """Return the requested algorithms without repetitions; for None all that fit the scene's axes, displays or groups.
 
@@ -68,7 +76,7 @@ def compared_algorithms(scene: Scene, algorithms: Sequence[str] | None) -> list[
 
 def compare(
     scene: Scene,
-    algorithms: Sequence[str] | None = None,
+    algorithms: Sequence[str | Case] | None = None,
     *,
     duration: float | None = None,
     rate: float | None = None,
@@ -81,7 +89,7 @@ def compare(
 
     Args:
         scene: Scene with simulated drives.
-        algorithms: Names of `compared_algorithms`; all of them by default.
+        algorithms: Names of `compared_algorithms`, and cases of single axes; all that have a name by default.
         duration: Duration [s]; by default the scene's.
         rate: Rate that replaces the scene's [Hz], possibly beyond its bus; for single axes, not over CAN.
         over_can: Whether the whole CAN path is used instead of a loop without a bus.
@@ -94,18 +102,29 @@ def compare(
         InputError: Nothing is simulated, an algorithm is unknown, axes are of several kinds, or a rate is given with
             CAN.
     """
-    names, displays = compared_algorithms(scene, algorithms), axis_loop.is_display(scene)
+    cases, displays = _cases(scene, algorithms), axis_loop.is_display(scene)
     if rate is not None:
         _require_rate(scene, displays=displays, over_can=over_can)
         scene = axis_loop.at_rate(scene, rate)
-    cycles = axis_loop.cycles_of(scene, duration)
+        cases = [case._replace(scene=axis_loop.at_rate(case.scene, rate)) for case in cases]
+    cycles, names = axis_loop.cycles_of(scene, duration), [case.algorithm for case in cases]
     if not displays and not scene.groups:
-        return _of_axes(scene, names, cycles, _counter(progress), None if over_can else engine, repeats)
+        return _of_axes(scene, cases, cycles, _counter(progress), None if over_can else engine, repeats)
     if displays:
         result = {**heading_of(scene, cycles), "axes": _over_can(scene, names, cycles, progress)}
     else:
         result = _of_groups(scene, names, cycles, "python" if over_can else engine, progress)
     return Comparison(result, (), scene.bus.sample_time)
+
+
+def _cases(scene: Scene, algorithms: Sequence[str | Case] | None) -> list[Case]:
+    """Return the columns of a comparison, each once, in the order in which they were asked for."""
+    every = [] if algorithms else [Case(scene, name, name) for name in compared_algorithms(scene, None)]
+    for one in algorithms or ():
+        case = Case(scene, one, one) if isinstance(one, str) else one
+        compared_algorithms(case.scene, [case.algorithm])  # refuses an unknown name
+        every.append(case)
+    return list({case.shown: case for case in every}.values())
 
 
 def _require_rate(scene: Scene, *, displays: bool, over_can: bool) -> None:
@@ -145,16 +164,8 @@ def reference_of(scene: Scene, cycles: int) -> tuple[ContinuousReference | None,
     return found, found.method
 
 
-def _case(scene: Scene, name: str) -> UnderAlgorithm:
-    """Return a scene under an algorithm, or the reason why the algorithm refuses it."""
-    try:
-        return axis_loop.under(scene, name)
-    except ParameterError as error:
-        return UnderAlgorithm(None, f"refused: {error}")
-
-
 def _of_axes(
-    scene: Scene, names: Sequence[str], cycles: int, counter: Callable[[], None], engine: Engine | None, repeats: int
+    scene: Scene, asked: Sequence[Case], cycles: int, counter: Callable[[], None], engine: Engine | None, repeats: int
 ) -> Comparison:
     """Compare algorithms on single axes, with an engine without a bus, or over CAN where `engine` is None."""
     axis_loop.require_single_axes(scene, "compare")
@@ -163,8 +174,8 @@ def _of_axes(
     alone = axis_loop.parts_of(scene).values()
     references = [reference_of(part, cycles) for part in alone]
     tried: list[dict[str, _Tried]] = [{} for _ in alone]
-    for name in names:
-        cases = [_case(part, name) for part in alone]
+    for given, name, shown in asked:
+        cases = [axis_loop.tried(part, name) for part in axis_loop.parts_of(given).values()]
         known = [case.scene for case in cases if case.scene is not None]
         if engine is not None:
             runs = [
@@ -172,12 +183,12 @@ def _of_axes(
                 for case, (reference, _) in zip(cases, references, strict=True)
             ]
         elif len(known) == len(cases):
-            runs = [*render_over_can(replace(scene, axes=tuple(of.axes[0] for of in known)), cycles, counter)]
+            runs = [*render_over_can(replace(given, axes=tuple(of.axes[0] for of in known)), cycles, counter)]
         else:  # all axes run together
             refused = next(case for case in cases if case.scene is None)
             cases, runs = [refused] * len(cases), [None] * len(cases)
-        for axis, one in zip(tried, zip(cases, runs, strict=True), strict=True):
-            axis[name] = one
+        for axis, own, case, run in zip(tried, given.axes, cases, runs, strict=True):
+            axis[shown] = _Tried(own, case, run)
     axes = [_of_axis(scene, *row, repeats) for row in zip(scene.axes, references, tried, strict=True)]
     result = {**heading_of(scene, cycles, "can" if engine is None else "direct")}
     accounts = {axis.name: account for axis, account in axes}
@@ -194,7 +205,12 @@ def run_axis(
     return render_by(chosen_engine(engine, work_of(case, cycles) >= WORTH_COMPILING), case, cycles, reach, counter)
 
 
-_Tried = tuple[UnderAlgorithm, axis_loop.LoopRun | None]
+class _Tried(NamedTuple):
+    """One algorithm on one axis."""
+
+    given: AxisScene  # before its algorithm was exchanged
+    case: UnderAlgorithm
+    run: axis_loop.LoopRun | None  # None: refused
 
 
 def _of_axis(
@@ -203,12 +219,12 @@ def _of_axis(
 ) -> tuple[AxisComparison, Row]:  # fmt: skip
     """Return the runs of one axis, and their account as plain values."""
     reference, method = found
-    runs = {name: run for name, (_, run) in tried.items() if run is not None}
-    cases = {name: (axis_loop.loop_case(case.scene.axes[0], scene), runs[name]) for name, (case, _) in tried.items()
-             if case.scene is not None}  # fmt: skip
+    runs = {name: of.run for name, of in tried.items() if of.run is not None}
+    cases = {name: (axis_loop.loop_case(of.case.scene.axes[0], scene), runs[name]) for name, of in tried.items()
+             if of.case.scene is not None}  # fmt: skip
     cost = axis_loop.microseconds_per_step(cases, repeats) if repeats else {}
     accounts = {}
-    for name, (case, run) in tried.items():
+    for name, (given, case, run) in tried.items():
         remarks = case.remark, "" if run is None else run.reason
         accounts[name] = {
             "status": "refused" if run is None else run.ended or "completed",
@@ -216,7 +232,7 @@ def _of_axis(
             "engine": None if run is None else run.engine,
             **(figures(axis_loop.environment_of(axis), run, reference, scene.bus.sample_time,
                        axis.parameters.torque_limit) if run is not None and run.position.size else {}),
-            "hand_force": getattr(axis.passivity.parameters, "hand_force", None),
+            "hand_force": getattr(given.passivity.parameters, "hand_force", None),
             "microseconds_per_step": cost.get(name),
         }  # fmt: skip
     account = {
