@@ -46,6 +46,7 @@ from canhaptic.simulation import EnergyLog as EnergyLog
 from canhaptic.simulation import PortAccount as PortAccount
 from canhaptic.simulation import SimulationResult as SimulationResult
 from canhaptic.simulation import simulate as simulate
+from canhaptic.world import World as World
 
 __all__: list[str]
 __version__: str

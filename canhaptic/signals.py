@@ -52,7 +52,9 @@ class FarRow(NamedTuple):
     position: float  # of the other side [m or rad]
     velocity: float  # [m/s or rad/s]
     wall: float  # that the other side has found [m or rad]
-    flags: int  # 1 the other side is ready, 2 linked, 4 a side stops, 8 it is below the wall, 16 above
+    stiffness: float  # of the wall or spring that a program asks for [N/m or N*m/rad]
+    damping: float  # of it [N*s/m or N*m*s/rad]
+    flags: int  # 1 the other side is ready, 2 linked, 4 a side stops, 8 below the wall, 16 above, 32 spring to a point
     session: int  # number of the session; 0: none
     seen: int  # largest number of a packet of the other side; -1: none
     sequence: int  # number of the packet of this SYNC; -1: none

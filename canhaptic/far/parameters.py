@@ -1,4 +1,4 @@
-"""Keys of the section `far` of a scene: an axis that is coupled to a rig behind a network."""
+"""Keys of the section `far` of a scene: an axis that is coupled to a rig behind a network, or to a slow program."""
 
 from typing import Annotated, Final, Literal, Self
 
@@ -9,6 +9,9 @@ from canhaptic.units import Name, Parameters, PrintablePath, PrintableText, quan
 LOOPBACK: Final = "loopback"
 """`peer` of a rig that runs in the same process (`canhaptic run --with`)."""
 
+WORLD: Final = ("127.0.0.1", 5577), ("127.0.0.1", 5578)
+"""Addresses of a rig and of its program, `world: loopback`."""
+
 SWINGS: Final = 5.0
 """Largest stiffness times round trip, over the damping, of a spring that does not swing."""
 
@@ -18,11 +21,12 @@ class Coupling(Parameters):
 
     type: Literal["spring", "model"] = "spring"
     """`spring`: a spring and a damper to the position of the other rig, which follows this one by a spring of its own.
-    `model`: the wall that the other rig has found, kept until it gets beyond it, and nothing in free space."""
+    `model`: the wall that the other rig has found, kept until it gets beyond it, and nothing in free space; with
+    `world` the wall or spring that the program asks for."""
     stiffness: Annotated[float, quantity("N/m", "N*m/rad", gt=0.0, le=1e6)]
-    """Stiffness of the spring, or of the wall."""
+    """Stiffness of the spring, or of the wall; with `world` the most that the program may ask for."""
     damping: Annotated[float, quantity("N*s/m", "N*m*s/rad", ge=0.0, le=1e4)] = 0.0
-    """Damping of the spring, of the speed between both sides, or of the wall."""
+    """Damping of the spring, of the speed between both sides, or of the wall; with `world` the most of it."""
 
 
 class FromFar(Parameters):
@@ -41,8 +45,11 @@ class FarParameters(Parameters):
     """Name of the link."""
     axis: Name
     """Name of the axis; it has no environment."""
-    peer: PrintableText
+    peer: PrintableText | None = None
     """Address of the other rig, `10.0.0.7:5577`; `loopback`: the scene after `--with`, in the same process."""
+    world: PrintableText | None = None
+    """In place of `peer`: address of a program that uses `canhaptic.World`; `loopback`: 127.0.0.1:5578, and this rig
+    listens at 127.0.0.1:5577."""
     listen: PrintableText | None = None
     """Address of this rig, at which the other one reaches it, `10.0.0.3:5577`."""
     key: PrintablePath | None = None
@@ -62,15 +69,32 @@ class FarParameters(Parameters):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.peer != LOOPBACK:
-            is_near = address(self.peer, "peer")[0] in ("127.0.0.1", "localhost")
+        if (self.peer is None) is (self.world is None):
+            raise ValueError("peer: expected either peer, the address of another rig, or world, that of a program")
+        if self.world is not None and self.coupling.type != "model":
+            raise ValueError("coupling: got type spring, expected type: model, as the program says what is rendered")
+        if self.other != LOOPBACK:
+            key = "peer" if self.world is None else "world"
+            is_near = address(self.other, key)[0] in ("127.0.0.1", "localhost")
             if self.listen is None:
-                raise ValueError("listen: missing, expected the address at which the other rig reaches this one")
+                raise ValueError("listen: missing, expected the address at which the other side reaches this rig")
             address(self.listen, "listen")
             if self.key is None and not is_near:
-                text = "missing, but peer is not on this computer; make one by `canhaptic new --far-key link.key`"
+                text = f"missing, but {key} is not on this computer; make one by `canhaptic new --far-key link.key`"
                 raise ValueError(f"key: {text} and copy it to both")
         return self
+
+    @property
+    def other(self) -> str:
+        """Address of the other side as written."""
+        return self.peer or self.world or ""
+
+    @property
+    def places(self) -> tuple[tuple[str, int], tuple[str, int]]:
+        """Own address, and that of the other side."""
+        if self.world == LOOPBACK:
+            return WORLD
+        return address(self.listen or "", "listen"), address(self.other, "peer")
 
     @property
     def declares_limits(self) -> bool:

@@ -14,7 +14,7 @@ handles.
 Totals are whole picojoules, which a float holds exactly up to 9 kJ.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from math import inf, sqrt
 from typing import ClassVar, Final, TypeAlias
 
@@ -26,6 +26,7 @@ from canhaptic.control.passivity.asked_torque import AskedEffort, granted, setti
 from canhaptic.control.passivity.guarded import book, certain_energy, end, start
 from canhaptic.control.passivity.stepped import send
 from canhaptic.far.parameters import FarParameters
+from canhaptic.far.world_model import SPRING, WorldState, forget, led_effort
 from canhaptic.kernels import Kernel, Run, new
 from canhaptic.signals import FarRow
 
@@ -48,9 +49,12 @@ _LED: Final = 0.02
 """Share of the spare energy by which a wall comes nearer to its place in a hold."""
 _NEARER: Final = 0.01
 """Share of the torque limit by which it does."""
+_SLEW: Final = 0.02
+"""Share of the torque limit by which the word of a program may change the torque in a hold."""
 _ROUNDING: Final = 1e-9  # [N or N*m]
 _ANY: Final = 0
-_IS_READY, _IS_LINKED, _IS_STOPPING, _IS_BELOW, _IS_ABOVE = 1, 2, 4, 8, 16  # of the flags of a `FarRow`
+_IS_READY, _IS_LINKED, _IS_STOPPING, _IS_BELOW, _IS_ABOVE, _IS_TO_POINT = (1 << bit for bit in range(6))
+"""Flags of a `FarRow`."""
 _UNDECLARED: Final = Declared(0.0, 0, 0, False, NO_RESPONSE, 0.0, 0.0, 0.0)
 
 
@@ -68,6 +72,8 @@ class FarSettings(guarded.GuardedSettings):
     fade: float = 0.0  # of the model in a hold
     release: float = 0.0  # the same, out
     by_model: bool = False  # whether the wall that the other side has found is rendered, and not a spring
+    by_world: bool = False  # whether what a program asks for is rendered
+    slew: float = 0.0  # by which its word changes the effort in a hold [N or N*m]
     then: int = RELEASE
     to_rest: int = 2  # holds of zero torque after which none acts
 
@@ -81,7 +87,7 @@ class FarState(guarded.GuardedState):
     far_position: float = 0.0  # [m or rad]
     far_velocity: float = 0.0  # [m/s or rad/s]
     far_wall: float = 0.0  # wall that the other side has found [m or rad]
-    far_side: float = 0.0  # on which it is of the wall: 1 below, -1 above; 0: it knows none
+    far_side: float = 0.0  # on which it is of the wall: 1 below, -1 above; 0: it knows none; 2: a spring of a program
     far_ready: bool = False  # whether the other side has earned its start
     linked: bool = False  # whether a session is alive
     stopping: bool = False  # of this side or the other
@@ -97,6 +103,7 @@ class FarState(guarded.GuardedState):
     damped: float = 0.0  # share of its damping that is rendered
     at_rest: int = 0  # holds of zero torque since the session ended
     cut: float = 0.0  # energy that arrived and the declared limits do not let in [J]
+    world: WorldState = field(default_factory=WorldState)
 
 
 FarRun: TypeAlias = Run[FarSettings, FarState, guarded.Memory]
@@ -156,6 +163,10 @@ def move_on(settings: FarSettings, state: FarState, position: float) -> None:
     if state.phase == LINKED and not state.linked:
         state.phase, state.at_rest = LOST, 0
         state.far_position, state.far_velocity = position, 0.0
+        if settings.by_world:
+            state.far_side = 0.0 if settings.then == RELEASE else SPRING
+            state.world.stiffness = 0.0 if settings.then == DAMP else settings.stiffness
+            state.world.damping = settings.model_damping
     if state.phase == LOST:
         if state.linked or state.stopping or settings.then == RELEASE:
             state.blend = max(0.0, state.blend - settings.release)
@@ -170,6 +181,8 @@ def certain(state: FarState) -> float:
 
 def stored_by_model(settings: FarSettings, state: FarState, position: float) -> float:
     """Return the energy of the model's spring [J]."""
+    if settings.by_world:
+        return state.blend * state.world.stored
     stretch = position - state.far_position
     if settings.by_model and state.phase == LINKED:
         stretch = max(0.0, state.far_side * (position - state.plane))
@@ -196,6 +209,11 @@ def lead(settings: FarSettings, state: FarState, position: float) -> None:
 
 def effort_of_model(settings: FarSettings, state: FarState, position: float, velocity: float) -> float:
     """Return the effort of the spring to the other side, or of the wall that it has found [N or N*m]."""
+    if settings.by_world:
+        return led_effort(
+            state.world, state.far_side, state.far_position, state.far_velocity, position, velocity,
+            settings.sample_time, settings.torque_limit, settings.slew, certain(state),
+        )  # fmt: skip
     if settings.by_model and state.phase == LINKED:
         lead(settings, state, position)
         deep = state.far_side * (position - state.plane)
@@ -286,6 +304,7 @@ def come_to_rest(settings: FarSettings, state: FarState, torque: float) -> tuple
     state.given_up += left - paid
     state.received = state.wanted = state.booked = state.sent = state.request = state.cut = 0.0
     state.far_ready, state.phase, state.is_led, state.far_side = False, IDLE, False, 0.0
+    forget(state.world)
     return left, paid
 
 
@@ -311,7 +330,9 @@ def settings_of(far: FarParameters, parameters: guarded.GuardedParameters, loop:
         most_gained=far.from_far.power * time / PICO,
         fade=time / _FADE,
         release=time / _RELEASE,
-        by_model=far.coupling.type == "model",
+        by_model=far.coupling.type == "model" and far.world is None,
+        by_world=far.world is not None,
+        slew=_SLEW * known.torque_limit,
         then=THEN[far.then],
         to_rest=loop.delay + 2 + parameters.max_consecutive_losses,
     )
@@ -332,18 +353,22 @@ class FarPort(guarded.Guarded):
         state: FarState = self._state
         return state
 
-    def given(self) -> tuple[float, float, float, float, float, int]:
+    def given(self) -> tuple[float, float, float, float, float, float, float, int]:
         """Return what a log holds of the next step, as the first columns of `FarRow`; `take_far` is the inverse."""
         state = self.state
         flags = _IS_READY * state.far_ready | _IS_LINKED * state.linked | _IS_STOPPING * state.stopping
-        flags |= _IS_BELOW * (state.far_side > 0.0) | _IS_ABOVE * (state.far_side < 0.0)
-        return state.received, state.wanted, state.far_position, state.far_velocity, state.far_wall, flags
+        flags |= _IS_BELOW * (state.far_side == 1.0) | _IS_ABOVE * (state.far_side < 0.0)
+        flags |= _IS_TO_POINT * (state.far_side == SPRING)
+        known = state.received, state.wanted, state.far_position, state.far_velocity, state.far_wall
+        return *known, state.world.stiffness, state.world.damping, flags
 
     def take_far(self, row: FarRow) -> None:
         """Set what a log holds of a step before it is computed once more."""
         state = self.state
         state.received, state.wanted, state.far_position, state.far_velocity, state.far_wall = row[:5]
+        state.world.stiffness, state.world.damping = row.stiffness, row.damping
         state.far_side = 1.0 * bool(row.flags & _IS_BELOW) - 1.0 * bool(row.flags & _IS_ABOVE)
+        state.far_side += SPRING * bool(row.flags & _IS_TO_POINT)
         known = (bool(row.flags & bit) for bit in (_IS_READY, _IS_LINKED, _IS_STOPPING))
         state.far_ready, state.linked, state.stopping = known
 

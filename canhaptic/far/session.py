@@ -171,8 +171,8 @@ class Session:
         seq = self._seq
         self._seq, self._sent_at[seq % _TIMES] = seq + 1, self._now
         seen = self.seen if self.seen > 0 else 0
-        flags, _, _, sent, received, wanted, position, velocity, _, wall, free = packet
-        known = flags | self._role, seq, self._id, sent, received, wanted, position, velocity, seen, wall, free
+        flags, _, _, sent, received, wanted, position, velocity, _, wall, damping = packet
+        known = flags | self._role, seq, self._id, sent, received, wanted, position, velocity, seen, wall, damping
         data = pack(known, self._key)
         if (told := sent_in(data)) > self.most_sent:
             self.most_sent = told

@@ -10,11 +10,12 @@ from typing import Final, NamedTuple, Protocol
 
 from canhaptic.control.ledger import EnergyLossMeter
 from canhaptic.errors import InputError
-from canhaptic.far.packet import ABOVE, BELOW, READY, STOPPING, whole
-from canhaptic.far.parameters import FarParameters, address
+from canhaptic.far.packet import ABOVE, BELOW, READY, STOPPING, TO_POINT, Packet, whole
+from canhaptic.far.parameters import FarParameters
 from canhaptic.far.port import IDLE, LINKED, LOST, PICO, FarPort, certain
 from canhaptic.far.session import Session
 from canhaptic.far.udp import UdpLink
+from canhaptic.far.world_model import SPRING
 from canhaptic.files import read_regular
 from canhaptic.signals import FarRow, Sample
 
@@ -60,7 +61,7 @@ def over_udp(far: FarParameters) -> UdpLink:
     Raises:
         InputError: Its own address cannot be used.
     """
-    return UdpLink(address(far.listen or "", "listen"), address(far.peer, "peer"))
+    return UdpLink(*far.places)
 
 
 class LinkSummary(NamedTuple):
@@ -95,14 +96,16 @@ class FarSide:
         self, far: FarParameters, port: FarPort, axis: int, transport: Transport, fresh: Callable[[], int] | None = None
     ) -> None:
         self.far, self.port, self.axis, self._transport = far, port, axis, transport
-        self._time = port.settings.sample_time
+        self._time, self._is_world = port.settings.sample_time, far.world is not None
         silence, secret = max(1, round(far.silence / self._time)), read_key(far.key) if far.key else b""
         self.session = Session(secret, silence, far.from_far.energy / PICO, fresh or _random, transport.send)
         self._position = self._velocity = self._arrived = self._wall = 0.0
         self._side = 0
         self._sums = [0.0, 0.0]  # of the sessions before: received, sent [pJ]
         self._before = [0.0, 0.0]
-        self._given: tuple[float, float, float, float, float, int, int, int, int] = (*(0.0,) * 5, 0, 0, -1, -1)
+        self._given: tuple[float, float, float, float, float, float, float, int, int, int, int] = (
+            *(0.0,) * 7, 0, 0, -1, -1
+        )  # fmt: skip
         self.cut = self.limited = self._sessions = 0
         self.is_stopping = False
 
@@ -132,6 +135,8 @@ class FarSide:
                 newest = packet.seq
                 state.far_position, state.far_velocity, state.far_wall = packet.position, packet.velocity, packet.wall
                 state.far_side = 1.0 * bool(packet.flags & BELOW) - 1.0 * bool(packet.flags & ABOVE)
+                if self._is_world:
+                    self._take_model(packet)
                 state.far_ready = state.far_ready or bool(packet.flags & READY)
             if not session.is_alive:  # the other side stops: what follows is for another session
                 break
@@ -142,7 +147,18 @@ class FarSide:
         if sample.fresh:
             self._velocity = (sample.position - self._position) / (periods * self._time)
             self._position = sample.position
-            self._search(sample.torque_applied)
+            if self._is_world:
+                self._wall = sample.torque_applied
+            else:
+                self._search(sample.torque_applied)
+
+    def _take_model(self, packet: Packet) -> None:
+        """Take the stiffness that a program asks for, at most what the scene declares."""
+        state, most = self.port.state, self.far.coupling
+        state.world.stiffness = min(max(0.0, packet.wall), most.stiffness)
+        state.world.damping = min(max(0.0, packet.damping), most.damping)
+        if packet.flags & TO_POINT:
+            state.far_side = SPRING
 
     def _search(self, torque: float) -> None:
         """Find a wall where a torque does not move the axis; forget it where the axis is beyond it."""

@@ -51,6 +51,10 @@ class UdpLink:
         except OSError:  # none, or an answer that no one listens there
             return
 
+    def wait(self, seconds: float) -> None:
+        """Wait until a packet is there, or for a time [s]."""
+        select.select([self._socket], [], [], seconds)
+
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()

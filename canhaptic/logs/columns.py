@@ -133,6 +133,8 @@ class LogSchema(NamedTuple):
                 "position": "m",
                 "velocity": "m/s",
                 "wall": "m",
+                "stiffness": "N/m",
+                "damping": "N*s/m",
                 "booked": "pJ",
                 "sent": "pJ",
             }

@@ -414,9 +414,9 @@ def build(
                 f"{scene.source}: far.peer: loopback needs the other rig: canhaptic run A.yaml --with B.yaml"
             )
         if chosen == "free":
-            raise InputError(
-                f"{scene.source}: far.peer: {scene.far.peer} is reached in real time only; add --pace real"
-            )
+            key, other = ("peer", "") if scene.far.world is None else ("world", ', or use canhaptic.World("virtual")')
+            text = f"{scene.source}: far.{key}: {scene.far.other} is reached in real time only; add --pace real"
+            raise InputError(text + other)
     return Experiment(scene, chosen, *logs, no_torque=no_torque, to_far=to_far)
 
 

@@ -3,7 +3,7 @@
 Reserve and times are those of the port itself, which a handle moves at constant speed; no network is simulated.
 """
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from canhaptic.axis_units import damping_unit, effort_unit, si, stiffness_unit
 from canhaptic.far.parameters import SWINGS, Coupling
@@ -37,8 +37,19 @@ def far_findings(scene: Scene) -> list[LinkFigure]:
     axis = scene.far_axis
     if scene.far is None or axis is None:
         return []
+    if scene.far.world is not None:
+        return [_program(scene), _reserve(scene, axis), _closing(scene, axis), *_of_world(scene.far.coupling, axis)]
     rows = _of_spring if scene.far.coupling.type == "spring" else _of_model
     return [_reserve(scene, axis), _closing(scene, axis), *rows(scene.far.coupling, round_trip(scene), axis)]
+
+
+def _program(scene: Scene) -> LinkFigure:
+    """Return what a world's scene needs beside it."""
+    far: Any = scene.far
+    rig, world = ("{}:{}".format(*place) for place in far.places)
+    text = f"a program that iterates over canhaptic.World at {world}, and `canhaptic run {scene.source} --pace real` at"
+    text += f' {rig}; or World("virtual") alone. A stall of the program that is longer ends the link'
+    return LinkFigure("program", far.silence, "s", text)
 
 
 def _reserve(scene: Scene, axis: AxisScene) -> LinkFigure:
@@ -60,6 +71,8 @@ def _closing(scene: Scene, axis: AxisScene) -> LinkFigure:
         if both is not None:
             text = f"a hand moves at {speed:g} {unit} and earns for both sides, the other one at rest; this side alone"
             text += f" has earned its start after {si(own or both, 's', 3)}; a packet later the coupling fades in"
+            if scene.far is not None and scene.far.world is not None:
+                text = f"a hand moves at {speed:g} {unit}; a packet later what the program asks for fades in"
             return LinkFigure("time to close", both, "s", text + idle)
         idle += f"; at {speed:g} {unit} not within {_LONGEST:g} s"
     ways = "; declare device_damping or device_friction, less hand_push, or more drag"
@@ -76,14 +89,14 @@ def earned_after(scene: Scene, axis: AxisScene, speed: float) -> tuple[float | N
     """
     port, time, count = build_far_port(scene, axis), axis.loop.sample_time, axis.loop.encoder_count
     state, settings, queue, own = port.state, port.settings, [0.0] * (1 + axis.loop.delay), None
-    state.linked, state.wanted = True, settings.level / PICO
+    state.linked, state.wanted = True, 0.0 if settings.by_world else settings.level / PICO
     for hold in range(round(_LONGEST / time)):
         position = speed * time * hold
         balance = port.step(count * round(position / count) if count else position, queue[0])
         queue = [*queue[1:], max(-settings.torque_limit, min(settings.torque_limit, balance.torque))]
         if own is None and port.is_ready:
             own = hold * time
-        if own is not None and state.sent * PICO >= STARTS * settings.level:
+        if own is not None and (settings.by_world or state.sent * PICO >= STARTS * settings.level):
             return own, hold * time
     return own, None
 
@@ -109,6 +122,15 @@ def _of_model(coupling: Coupling, trip: float, axis: AxisScene) -> list[LinkFigu
     drag = LinkFigure("drag in free motion", 0.0, damping_unit(motion), "but for `drag` while a side lacks energy")
     then = "at once, as far as the tank pays it"
     return [drag, *_touches(coupling.stiffness, stiffness_unit(motion), f"{first} hand leaves", then)]
+
+
+def _of_world(coupling: Coupling, axis: AxisScene) -> list[LinkFigure]:
+    """Return drag and touch of what a program asks for."""
+    motion = axis.parameters.unit
+    first = "a turn of the program later; the wall starts at the hand and grows as the tank pays"
+    drag = LinkFigure("drag in free motion", 0.0, damping_unit(motion), "but for `drag` while the tank lacks energy")
+    then = "at once, as far as the tank pays it and the program leaves the wall where it is"
+    return [drag, *_touches(coupling.stiffness, stiffness_unit(motion), first, then)]
 
 
 def _touches(stiffness: float, unit: str, first: str, then: str) -> list[LinkFigure]:

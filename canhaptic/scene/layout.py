@@ -95,7 +95,7 @@ def laid_out(written: MarkedMapping, source: str, text: str, overrides: Sequence
     axes = _axes(written, simulation, members, faults, is_known=len(faults) == before)
     scene.set("axes", axes)
     units: dict[str, Motion] = {str(a["parameters"].get("name")): a.motion for a in axes if a is not NOTED and a.motion}
-    if (far := faults.section(written, "far", "name, axis, peer, coupling, ...")) is not None:
+    if (far := faults.section(written, "far", "name, axis, peer or world, coupling, ...")) is not None:
         far = far.copy()
         far.motion = units.get(str(far.get("axis")), "m")
         scene.put("far", far, written.keys_at["far"], written.values_at["far"])

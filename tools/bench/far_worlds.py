@@ -250,7 +250,7 @@ def flood() -> Row:
 def packet_cost() -> Row:
     """Returns the processor time of a SYNC's packet: pack, tag, send, receive, check."""
     places = ("127.0.0.1", 47811), ("127.0.0.1", 47812)
-    links = UdpLink(*places), UdpLink(*reversed(places))
+    links = UdpLink(*places), UdpLink(places[1], places[0])
     numbers = iter(range(1, 100))
     sides = [Session(bytes(range(32)), 10**6, 1e15, numbers.__next__, link.send) for link in links]
     took = []
