@@ -15,7 +15,7 @@ from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.errors import InputError
 from canhaptic.logs.bus_reader import Frame
-from canhaptic.logs.decoder import ENABLED, PdoField, PdoMaps, SdoDecoder, state_text
+from canhaptic.logs.decoder import ENABLED, Access, PdoField, PdoMaps, SdoDecoder, state_text
 from canhaptic.signals import Sample
 
 _RATED_TORQUE_COUNTS: Final[Mapping[str, float]] = {"rated_torque_micro": 1e-6}
@@ -47,54 +47,39 @@ class DeclaredDrive:
     """The declarations of a drive that are needed to decode its frames."""
 
     name: str
-    node_id: int
-    eds: str | Path
+    place: int  # node ID, or position on its EtherCAT line
+    dictionary: str | Path  # EDS, DCF or ESI
     counts_per_unit: float
     direction: int  # 1 or -1
     transmission: float  # torque of the axis over torque of the motor
     rated_torque: float | None  # of the axis [N*m or N]; None: as the drive states it
     quirks: Sequence[str]
-    demand_reported: str  # "before" or "after" the RPDO of the same SYNC
+    demand_reported: str  # "before" or "after" the target torque of the same SYNC
     force: DeclaredForce | None = None  # of an admittance display, which has it instead of the torque
 
 
-class ListenedAxis:
-    """Decoder of the frames of one axis.
-
-    Raises:
-        DictionaryError: The dictionary of the drive cannot be read.
-    """
+class HeardAxis:
+    """One axis from the objects in its process data; which frames bring them is the affair of its bus."""
 
     def __init__(self, drive: DeclaredDrive) -> None:
         self._drive = drive
-        self._sdo = SdoDecoder()
-        self._maps = PdoMaps(drive.node_id, read_dictionary(drive.eds, drive.node_id))
-        self._tpdos = self._maps.tpdos()
         self._rated_counts = 0
         self._per_torque_count = 0.0  # not known before the first sample
         self._counts = self._reported = 0
         self._fields: dict[int, Any] = {}  # integers, or the REAL32 of a force sensor
-        self._node = drive.force.node if drive.force else None
         self._impulse: int | None = None
         self._impulse_at = -1
         self._last = Sample(-1, 0.0, 0.0, 0, fresh=False)
 
-    def take(self, frame: Frame) -> None:
-        """Store the values in a frame of the bus; frames of other nodes are ignored."""
-        if frame.can_id - self._drive.node_id in (od.SDO_REQUEST_BASE, od.SDO_RESPONSE_BASE):
-            is_request = frame.can_id - self._drive.node_id == od.SDO_REQUEST_BASE
-            _, access = self._sdo.sdo(frame.data, is_request=is_request)
-            if access is not None and access[:2] == (od.RATED_TORQUE, 0):
-                self._rated_counts = int.from_bytes(access.value, "little")
-            if access is not None and self._maps.learn(access):
-                self._tpdos = self._maps.tpdos()
-        elif self._node is not None and frame.can_id == self._node.frame_id:
-            if len(frame.data) == self._node.frame_length:
-                self._fields.setdefault(OF_A_NODE, self._node.value_in(frame.data))
-        elif frame.can_id in self._tpdos:
-            fields = self._maps.fields(self._tpdos[frame.can_id], frame.data)
-            for field in [] if isinstance(fields, str) else fields:
-                self._fields.setdefault(field.object_index, self._signed(field))
+    def hear(self, fields: list[PdoField] | str) -> None:
+        """Store the values in process data; a text says why they cannot be decoded."""
+        for field in [] if isinstance(fields, str) else fields:
+            self._fields.setdefault(field.object_index, self._signed(field))
+
+    def learn(self, access: Access) -> None:
+        """Take the rated torque from an object that the drive told or took."""
+        if access[:2] == (od.RATED_TORQUE, 0):
+            self._rated_counts = int.from_bytes(access.value, "little")
 
     def _signed(self, field: PdoField) -> int:
         """Return the value of a field; the force is a signed integer in every object."""
@@ -187,6 +172,36 @@ class ListenedAxis:
             )
         of_1000_counts = rated * round(1000.0 * _of(_TORQUE_COUNTS, drive.quirks), 9)
         return drive.direction * of_1000_counts / 1000.0
+
+
+class ListenedAxis(HeardAxis):
+    """One axis on a CAN bus, from its frames.
+
+    Raises:
+        DictionaryError: The dictionary of the drive cannot be read.
+    """
+
+    def __init__(self, drive: DeclaredDrive) -> None:
+        super().__init__(drive)
+        self._sdo = SdoDecoder()
+        self._maps = PdoMaps(drive.place, read_dictionary(drive.dictionary, drive.place))
+        self._tpdos = self._maps.tpdos()
+        self._node = drive.force.node if drive.force else None
+
+    def take(self, frame: Frame) -> None:
+        """Store the values in a frame of the bus; frames of other nodes are ignored."""
+        if frame.can_id - self._drive.place in (od.SDO_REQUEST_BASE, od.SDO_RESPONSE_BASE):
+            is_request = frame.can_id - self._drive.place == od.SDO_REQUEST_BASE
+            _, access = self._sdo.sdo(frame.data, is_request=is_request)
+            if access is not None:
+                self.learn(access)
+                if self._maps.learn(access):
+                    self._tpdos = self._maps.tpdos()
+        elif self._node is not None and frame.can_id == self._node.frame_id:
+            if len(frame.data) == self._node.frame_length:
+                self._fields.setdefault(OF_A_NODE, self._node.value_in(frame.data))
+        elif frame.can_id in self._tpdos:
+            self.hear(self._maps.fields(self._tpdos[frame.can_id], frame.data))
 
 
 def _of(table: Mapping[str, float], quirks: Sequence[str]) -> float:

@@ -10,7 +10,7 @@ names and keys of that release. `tools/convert_scene.py` converts a scene of an 
 
 import struct
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil, inf
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import Any, Final, Literal, NamedTuple, NotRequired, TypedDict, cast
 
 import numpy as np
 
-from canhaptic.audit.listened_axis import OF_A_NODE, DeclaredDrive, DeclaredForce, ListenedAxis
+from canhaptic.audit.listened_axis import OF_A_NODE, DeclaredDrive, DeclaredForce, HeardAxis, ListenedAxis
 from canhaptic.audit.user_checks import Outcome
 from canhaptic.canopen import objects as od
 from canhaptic.control.balance import Certificate, EnergyBalance
@@ -32,6 +32,7 @@ from canhaptic.logs.text_lines import UNTIMED
 from canhaptic.meters import RunMeters, limits_of, promise_of
 from canhaptic.quantities import NEW_COLUMNS
 from canhaptic.result import Verdicts, overall, port_account, with_groups
+from canhaptic.scene.buses import PLACES, kind_of
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import LATER_LOOP_KEYS, AxisScene, Scene, hash_of
 from canhaptic.scene.own_code import apart, require_same_code
@@ -281,20 +282,42 @@ def samples_of(bus_log: str | Path, scene: Scene, remarks: Remarks) -> Iterator[
     Raises:
         LogFormatError: The bus log cannot be read, or the time of a SYNC is not known, so that a hold has no length.
     """
-    axes = [ListenedAxis(_declared(axis)) for axis in scene.axes]
+    together = {axis: group for group in scene.group_places for axis in group}
+    drives, cycle = [_declared(axis, scene) for axis in scene.axes], -1
+    axes, rows = (_on_can if kind_of(scene.bus) == "can" else _on_line)(drives, scene, bus_log, remarks)
+    for periods in rows:
+        if cycle >= 0 and any(axis.has_left for axis in axes):
+            return
+        if cycle >= 0 or all(axis.is_enabled for axis in axes):
+            cycle += 1
+            shown = [axis.shows_demand for axis in axes]
+            samples = [
+                axis.sample(cycle, is_whole=all(axes[other].is_complete for other in together.get(number, ())))
+                for number, axis in enumerate(axes)
+            ]
+            yield periods, samples, shown
+
+
+_HeardRows = tuple[Sequence[HeardAxis], Iterator[int]]
+"""Axes, and for each SYNC, once they have heard what answers it, the sample times since the one before."""
+
+
+def _on_line(drives: Sequence[DeclaredDrive], scene: Scene, bus_log: str | Path, remarks: Remarks) -> _HeardRows:
+    from canhaptic.audit.listened_line import ListenedLine
+
+    line = ListenedLine(drives, scene, remarks)
+    return line.axes, line.rows(bus_log)
+
+
+def _on_can(drives: Sequence[DeclaredDrive], scene: Scene, bus_log: str | Path, remarks: Remarks) -> _HeardRows:
+    axes = [ListenedAxis(drive) for drive in drives]
+    return axes, _rows_of_can(axes, scene, bus_log, remarks)
+
+
+def _rows_of_can(axes: Sequence[ListenedAxis], scene: Scene, bus_log: str | Path, remarks: Remarks) -> Iterator[int]:
     on_bus = [[a for a, of in zip(axes, scene.axes, strict=True) if of.bus == bus.name] for bus in scene.buses]
     place_of = Channels(scene).place_of
-    together = {axis: group for group in scene.group_places for axis in group}
-    cycle, sent, periods, period = -1, 0, 1, scene.bus.sample_time_ns
-
-    def heard() -> tuple[int, list[Sample], list[bool]]:
-        shown = [axis.shows_demand for axis in axes]
-        samples = [
-            axis.sample(cycle, is_whole=all(axes[other].is_complete for other in together.get(number, ())))
-            for number, axis in enumerate(axes)
-        ]
-        return periods, samples, shown
-
+    sent, periods, period = 0, 1, scene.bus.sample_time_ns
     for frame in read_bus_log(bus_log, remarks):
         place = place_of(frame)
         if frame.can_id != od.SYNC_FRAME_COB_ID:
@@ -303,18 +326,13 @@ def samples_of(bus_log: str | Path, scene: Scene, remarks: Remarks) -> Iterator[
             continue
         if place:  # the SYNC of the same index on another bus, sent right after the SYNC of the first bus
             continue
-        if any(axis.has_left for axis in axes) and cycle >= 0:
-            return
+        yield periods
         _require_time(bus_log, frame, sent)
-        if cycle >= 0 or all(axis.is_enabled for axis in axes):
-            cycle += 1
-            yield heard()
         periods, sent = (frame.timestamp_ns - sent + period // 2) // period or 1, frame.timestamp_ns
         for axis in axes:
             axis.forget()
     if all(axis.is_enabled for axis in axes):  # no SYNC follows the last one
-        cycle += 1
-        yield heard()
+        yield periods
 
 
 def _require_time(bus_log: str | Path, sync: Frame, last: int) -> None:
@@ -324,9 +342,9 @@ def _require_time(bus_log: str | Path, sync: Frame, last: int) -> None:
         raise LogFormatError(f"{text}; record with candump -L")
 
 
-def _declared(axis: AxisScene) -> DeclaredDrive:
+def _declared(axis: AxisScene, scene: Scene) -> DeclaredDrive:
     given = axis.parameters
-    named = {field.name: getattr(given, field.name) for field in fields(DeclaredDrive) if field.name != "force"}
+    place = getattr(given, PLACES[kind_of(scene.bus_of(axis))])
     display, force = given.admittance, None
     if display is not None:
         given_force, place = display.force, display.force.place
@@ -334,7 +352,10 @@ def _declared(axis: AxisScene) -> DeclaredDrive:
             OF_A_NODE if place is None else place[0], given_force.per_count, given_force.offset_counts,
             given_force.node, axis.loop.sample_time if given_force.sampling == "impulse" else 0.0, given_force.bits,
         )  # fmt: skip
-    return DeclaredDrive(**named, force=force)
+    return DeclaredDrive(
+        given.name, place, given.dictionary_path, given.counts_per_unit, given.direction, given.transmission,
+        given.rated_torque, given.quirks, given.demand_reported, force,
+    )  # fmt: skip
 
 
 class Rederived(Verdicts):
@@ -344,6 +365,7 @@ class Rederived(Verdicts):
     cycles: int
     remarks: list[str]  # what was left out of the bus log, and what is odd about its times
     ports: dict[str, PortResult]
+    damage: list[str]  # frames of a line that cannot be as they were
     differences: NotRequired[list[dict[str, str | int | float]]]  # with a log: the first of each port
     checks: NotRequired[list[Outcome]]
 
@@ -389,6 +411,7 @@ def rederive(bus_log: str | Path, scene: Scene, log: EnergyLog | None = None) ->
         raise InputError(f"{text}; name the scene of this log")
     ports = derived.accounts(_holds(scene, log))
     result = cast("Rederived", {"cycles": cycles, "remarks": remarks.lines(), **overall(ports), "ports": ports})
+    result["damage"] = remarks.note_lines(sorted(remarks.damage))
     if log is not None:
         result["differences"] = list(differences.values())
         if cycles < log.rows:  # the frames end before the log

@@ -135,7 +135,7 @@ def _is_good(result: Inspection) -> bool:
         and all(outcome["holds"] for outcome in result["checks"])
         and result.get("comparison", {}).get("identical", True)
         and all(port["mismatch"] is None and not port["unchecked_rows"] for port in result.get("recomputed", []))
-        and not result.get("rederived", {}).get("differences")
+        and not any(result.get("rederived", {}).get(name) for name in ("differences", "damage"))
     )
 
 

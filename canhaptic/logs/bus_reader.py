@@ -49,11 +49,14 @@ class Remarks:
             of other text, by kind.
         untimed: Frames without a time.
         are_spans: Whether the times of the log are those since the last frame (candump -td), which were added up.
+        damage: What of the notes cannot have been so on the wire.
     """
 
     skipped: Counter[SkippedKind] = field(default_factory=Counter)
     untimed: int = 0
     are_spans: bool = False
+    damage: set[str] = field(default_factory=set)
+    _notes: dict[str, tuple[int, int]] = field(default_factory=dict)  # count, first frame
     _steps: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # count, first frame, its length [ns]
 
     def step(self, number: int, nanoseconds: int) -> None:
@@ -61,6 +64,16 @@ class Remarks:
         what = "goes back" if nanoseconds < 0 else "jumps forward"
         count, first, length = self._steps.get(what, (0, number, nanoseconds))
         self._steps[what] = count + 1, first, length
+
+    def note(self, what: str, number: int) -> None:
+        """Count a frame of which there is something to say."""
+        count, first = self._notes.get(what, (0, number))
+        self._notes[what] = count + 1, first
+
+    def damaged(self, what: str, number: int) -> None:
+        """Count a frame that cannot have been so on the wire, or before which others are missing."""
+        self.damage.add(what)
+        self.note(what, number)
 
     def lines(self) -> list[str]:
         """Return everything in words, one line for each subject."""
@@ -71,7 +84,12 @@ class Remarks:
         for what, (count, first, length) in self._steps.items():
             times = f"{count} times, " if count > 1 else ""
             texts.append(f"time {what} {times}first at line or frame {first}, by {abs(length) * 1e-9:.6g} s")
-        return texts
+        return texts + self.note_lines(self._notes)
+
+    def note_lines(self, kinds: Iterable[str]) -> list[str]:
+        """Return the notes of some kinds in words."""
+        notes = ((what, *self._notes[what]) for what in kinds)
+        return [f"frame {first}: {what}" + f", and {count - 1} others" * (count > 1) for what, count, first in notes]
 
 
 class _Lines(TextIOWrapper):
@@ -153,6 +171,9 @@ def read_bus_log(path: str | Path, remarks: Remarks | None = None) -> Iterator[F
             file and line.
     """
     path = log_file(path)
+    if is_capture(path):
+        text = "is a capture of Ethernet, expected the frames of a CAN bus"
+        raise LogFormatError(f"{path}: {text}; give the scene of its EtherCAT line with --config")
     remarks = Remarks() if remarks is None else remarks
     is_of_python_can = _suffix(path) in CONVERTIBLE or _starts_with(path, _CSV_OF_PYTHON_CAN)
     return _watched((_read_with_python_can if is_of_python_can else _read_text)(path, remarks), path, remarks)

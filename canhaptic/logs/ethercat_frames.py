@@ -136,9 +136,14 @@ def _units_of(order: str, body: bytes) -> int:
     return 1_000_000
 
 
+def is_ethercat(frame: bytes) -> bool:
+    """Return whether an Ethernet frame is one of EtherCAT."""
+    return frame[12:14] == _ETHERTYPE
+
+
 def datagrams_of(frame: bytes) -> list[FrameDatagram] | None:
     """Return the datagrams of a frame; None where it is no EtherCAT frame, or a damaged one."""
-    if frame[12:14] != _ETHERTYPE:
+    if not is_ethercat(frame):
         return None
     at, more, found = _FIRST, True, list[FrameDatagram]()
     while more:

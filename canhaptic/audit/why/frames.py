@@ -11,7 +11,7 @@ from canhaptic.audit.why.causes import Why, explained, known_of
 from canhaptic.audit.why.ripple import Motion, buzz_of
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.code_texts import emcy_text
-from canhaptic.logs.bus_reader import Remarks, read_bus_log
+from canhaptic.logs.bus_reader import Remarks, is_capture, read_bus_log
 from canhaptic.logs.decoder import PdoMaps, SdoDecoder
 from canhaptic.logs.text_lines import UNTIMED
 from canhaptic.scene.models import Scene
@@ -45,7 +45,8 @@ def why_of_frames(path: Path, scene: Scene | None) -> WhyOfFrames:
         LogFormatError: The log cannot be read, or a SYNC has no time although the scene is given.
     """
     remarks = Remarks()
-    missing, said = _of_frames(path, remarks, has_scene=scene is not None)
+    is_line = scene is not None and is_capture(path)
+    missing, said = ([], []) if is_line else _of_frames(path, remarks, has_scene=scene is not None)
     why = {} if scene is None else _of_samples(path, scene)
     return {
         "file": str(path), "status": f"from the frames of {path.name}", "why": why, "missing": missing,

@@ -164,6 +164,8 @@ def motion_of(log: "EnergyLog", name: str, rows: slice | None = None) -> Motion:
 
 def _filled(time: Array, known: Array, values: Array) -> Array:
     """Return values at whole times between known ones, by cubics whose slopes are those through the neighbours."""
+    known, rows = np.unique(known, return_index=True)  # a line whose host has slipped counts a hold twice
+    values = values[rows]
     slopes = np.gradient(values, known)
     place = np.clip(np.searchsorted(known, time, "right") - 1, 0, len(known) - 2)
     width = (known[place + 1] - known[place]).astype(float)
