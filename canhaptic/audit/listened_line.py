@@ -8,6 +8,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from itertools import chain, pairwise
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from canhaptic.audit.listened_axis import DeclaredDrive, HeardAxis
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 _SOURCE, _MARK, _NUMBER = 6, 0x02, 17  # place of the source address, the mark of a drive, number of a frame
 _FIRST, _HEAD = 16, 10  # [bytes] to the first datagram, and of a head
+_SLOW: Final = 0.05  # part of the sample time by which a slow frame is slower than half of them
 _FEW: Final = 0.05  # part of the frames up to which a number out of order is a gap
 _APWR, _FPRD, _FPWR, _BRD, _BWR, _LRD, _LWR, _LRW, _FRMW = 2, 4, 5, 7, 8, 10, 11, 12, 14
 _MOVING: Final = frozenset((1, 2, 3, 7, 8, 9, 13))  # commands whose address each drive counts up
@@ -40,6 +42,7 @@ class _Exchange(NamedTuple):
 
     number: int
     time: int  # [ns]
+    taken: int  # time until it came back [ns]
     sent: list[FrameDatagram]
     answer: list[FrameDatagram] | None
 
@@ -107,6 +110,7 @@ class ListenedLine:
         self._parts: list[tuple[int, tuple[int, int], tuple[int, int]]] = []  # position, outputs, inputs
         self._clock = -1  # position of the reference clock
         self._hold = self._counted = self._slip = -1
+        self._slow = 0.0  # time on the way beyond which a frame says nothing of the host's phase [ns]
         self._sent = -1  # time of the last row [ns]
 
     # --- frames -----------------------------------------------------------------------------------------------------
@@ -119,6 +123,8 @@ class ListenedLine:
         """
         frames, was_read, last = read_capture(path), False, None
         self._look_for_gaps(frames)
+        ways = [two.time - one.time for one, two in pairwise(frames) if two.content[_SOURCE] & _MARK]
+        self._slow = (median(ways) if ways else 0) + _SLOW * self._period
         for next_one in chain(self._exchanges(frames), (None,)):
             one, last = last, next_one
             if one is None:
@@ -148,17 +154,19 @@ class ListenedLine:
                 continue
             if not content[_SOURCE] & _MARK:
                 if waiting is not None:
-                    yield from self._exchange(*waiting, None)
+                    yield from self._exchange(*waiting)
                 waiting = number, time, content
             elif waiting is None or waiting[2][_NUMBER] != content[_NUMBER]:
                 self._remarks.damaged("answers a frame that is not in the capture before it", number)
             else:
-                yield from self._exchange(*waiting, content)
+                yield from self._exchange(*waiting, content, time - waiting[1])
                 waiting = None
         if waiting is not None:
-            yield from self._exchange(*waiting, None)
+            yield from self._exchange(*waiting)
 
-    def _exchange(self, number: int, time: int, content: bytes, came: bytes | None) -> Iterator[_Exchange]:
+    def _exchange(
+        self, number: int, time: int, content: bytes, came: bytes | None = None, taken: int = 0
+    ) -> Iterator[_Exchange]:
         sent, answer = datagrams_of(content), None if came is None else datagrams_of(came)
         if not sent or (came is not None and answer is None):
             self._remarks.damaged("is damaged: its datagrams do not end where it does", number)
@@ -167,7 +175,7 @@ class ListenedLine:
             self._remarks.note("has no answer", number)
         elif self._altered(content, came, sent):
             self._remarks.damaged("and its answer differ in what no drive alters", number)
-        yield _Exchange(number, time, sent, answer)
+        yield _Exchange(number, time, taken, sent, answer)
 
     def _altered(self, sent: bytes, came: bytes, datagrams: list[FrameDatagram]) -> bool:
         """Return whether an answer differs in more than drives alter: counters, data that are read, and their marks."""
@@ -245,7 +253,7 @@ class ListenedLine:
             axis.forget()
         if one.answer is None or (image := self._whole(one.answer)) is None:
             return periods
-        slip = self._slip_of(one.answer)
+        slip = self._slip_of(one.answer, one.taken > self._slow)
         if slip is None:
             return periods
         for axis, place in zip(self.axes, self._places, strict=True):
@@ -253,7 +261,7 @@ class ListenedLine:
             begin, size = drive.part(_INPUT)
             at = begin - (image.address | image.offset << 16)
             axis.hear(drive.maps.fields(drive.assigned, image.data[at : at + size]))
-        return periods + max(0, slip)
+        return max(1, periods + slip)
 
     def _whole(self, answer: list[FrameDatagram]) -> FrameDatagram | None:
         """Return the datagram of the process image; None where a drive let one pass unread."""
@@ -272,8 +280,11 @@ class ListenedLine:
                 return None
         return image
 
-    def _slip_of(self, answer: list[FrameDatagram]) -> int | None:
-        """Return by how many holds more than counted a frame came after the last one; None in another than its own."""
+    def _slip_of(self, answer: list[FrameDatagram], was_slow: bool) -> int | None:
+        """Return by how many holds more than counted a frame came after the last one; None in another than its own.
+
+        One that was slow says nothing: the next, in its own hold, is the second in a row without it.
+        """
         registers = self._drive(self._clock).registers
         first, cycle = (
             int.from_bytes(registers[at : at + n], "little") for at, n in ((_SYNC_START, 8), (_SYNC_CYCLE, 4))
@@ -283,8 +294,8 @@ class ListenedLine:
             return None
         hold, taken = (int.from_bytes(time[:8], "little") - first) // cycle, self._hold
         slip = hold - taken - self._counted
-        if taken >= 0 and slip and (hold <= taken or 0 < slip != self._slip):
-            self._slip = slip
+        if taken >= 0 and slip and (hold <= taken or (slip > 0 and (was_slow or slip != self._slip))):
+            self._slip = 0 if was_slow else slip
             return None
         self._hold, self._counted, self._slip = hold, 0, 0
         return slip if taken >= 0 else 0

@@ -344,7 +344,7 @@ def _require_time(bus_log: str | Path, sync: Frame, last: int) -> None:
 
 def _declared(axis: AxisScene, scene: Scene) -> DeclaredDrive:
     given = axis.parameters
-    place = getattr(given, PLACES[kind_of(scene.bus_of(axis))])
+    number = getattr(given, PLACES[kind_of(scene.bus_of(axis))])
     display, force = given.admittance, None
     if display is not None:
         given_force, place = display.force, display.force.place
@@ -353,7 +353,7 @@ def _declared(axis: AxisScene, scene: Scene) -> DeclaredDrive:
             given_force.node, axis.loop.sample_time if given_force.sampling == "impulse" else 0.0, given_force.bits,
         )  # fmt: skip
     return DeclaredDrive(
-        given.name, place, given.dictionary_path, given.counts_per_unit, given.direction, given.transmission,
+        given.name, number, given.dictionary_path, given.counts_per_unit, given.direction, given.transmission,
         given.rated_torque, given.quirks, given.demand_reported, force,
     )  # fmt: skip
 

@@ -210,7 +210,7 @@ def _write_files(log: EnergyLog, result: Inspection, arguments: argparse.Namespa
 
 
 def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
-    """Print the account derived from a bus log; return 1 if a check fails, else 0."""
+    """Print the account derived from a bus log; return 1 if a check fails or frames of a line are damaged, else 0."""
     from canhaptic.scene.load import load_scene
 
     if arguments.why:
@@ -225,7 +225,7 @@ def _inspect_frames(arguments: argparse.Namespace, console: Console) -> int:
     result["status"] = f"derived from the frames of {arguments.log.name}"
     result["checks"] = _checks(result, arguments)
     _show(result, console, as_json=arguments.json, full=arguments.full)
-    return 0 if all(outcome["holds"] for outcome in result["checks"]) else 1
+    return 0 if all(outcome["holds"] for outcome in result["checks"]) and not result["damage"] else 1
 
 
 def _asks_for_account(arguments: argparse.Namespace) -> bool:
