@@ -61,7 +61,7 @@ class FarParameters(Parameters):
     drag: Annotated[float, quantity("N*s/m", "N*m*s/rad", gt=0.0, le=1e3)] = 4.0
     """Damping by which a side earns what is lacking."""
     silence: Annotated[float, quantity("s", ge=1e-3, le=10.0)] = 0.1
-    """Time without an authentic packet after which the link has ended."""
+    """Time without a new authentic packet after which the link has ended."""
     then: Literal["hold", "damp", "release"] = "release"
     """What is rendered then: a spring to where the axis is, a damper, or the torque falls to 0 in 0.2 s."""
     from_far: FromFar = Field(default_factory=lambda: FromFar(energy=2.0, power=20.0))

@@ -24,7 +24,7 @@ class Session:
 
     Args:
         secret: Key that both sides share; empty on the loopback.
-        silence: Sample times without an authentic packet after which the session ends.
+        silence: Sample times without a new authentic packet after which the session ends.
         most_owed: Largest total received, less the total sent, that counts [pJ].
         fresh: Returns a random number of 63 bits, not 0.
         send: Hands bytes to the network.
@@ -132,12 +132,11 @@ class Session:
             self.most_received = sent
         if seq < self._first or self._first < 0:
             self._first = seq
-        self._quiet = 0
         self.heard += 1
         if flags & STOPPING:
             self.end()
-        if seq > self.seen:
-            self.seen = seq
+        if seq > self.seen:  # one that is sent again keeps no session alive
+            self.seen, self._quiet = seq, 0
             if self._seq - _TIMES < seen < self._seq:
                 self.round_trip = self._now - self._sent_at[seen % _TIMES]
         return packet

@@ -109,6 +109,17 @@ def test_silence_and_a_stop_end_a_session_and_a_restarted_side_cannot_continue_i
     assert not ends.sides[1].is_alive
 
 
+def test_a_packet_that_is_sent_again_keeps_no_session_alive():
+    ends = Ends().linked()
+    ends.sides[0].say(Packet(0, 0, 0, 9, 0, 0, 0.0, 0.0, 0))
+    old = ends.sent[0].pop()
+    for cycle in range(51):
+        assert ends.sides[1].is_alive, cycle
+        assert ends.carry(1, old).sent == 9
+        ends.sides[1].pass_time(1)
+    assert not ends.sides[1].is_alive
+
+
 def test_a_greeting_that_is_sent_again_begins_nothing():
     ends = Ends()
     ends.sides[0].say(FULL)

@@ -9,8 +9,9 @@ import pytest
 
 from canhaptic.cycle import running
 from canhaptic.errors import InputError
-from canhaptic.far.packet import SIZE, Packet, pack
+from canhaptic.far.packet import READY, SIZE, Packet, pack
 from canhaptic.far.port import IDLE, LINKED
+from canhaptic.far.session import Session
 from canhaptic.far.udp import UdpLink
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
@@ -113,6 +114,29 @@ def test_a_stranger_is_dropped_by_the_kernel_and_forged_claims_by_their_tag():
         summary = rig.far.summary()
     assert (summary.sessions, summary.received) == (0, 0.0)
     assert 0 < summary.refused <= 8 * 61
+
+
+def test_a_peer_with_the_key_that_claims_a_kilojoule_makes_a_rig_give_out_from_far_and_no_more():
+    own, other = free_address(), free_address()
+    limits = [
+        "far.from_far={energy: 40 mJ, power: 5 W}",
+        "far.coupling={type: spring, stiffness: 200 N/m, damping: 4 N*s/m}",
+    ]
+    rig = build(load_scene("configs/far_wall.yaml", limits), "free", to_far=(UdpLink(own, other), None))
+    peer, least = UdpLink(other, own), 0.0
+    liar = Session(b"", 10**6, 1e15, iter(range(1, 100)).__next__, peer.send)
+    with rig, running(rig.cycle):
+        for cycle in range(700):
+            liar.pass_time(1)
+            for data in peer.arrived():
+                liar.take(data, may_begin=True)
+            far = 0.02 if cycle % 400 < 200 else -0.02  # where it says that it is
+            liar.say((READY, 0, 0, 10**15, 10**15, 10**15, far, 0.0, 0, 0.0, 0.0))
+            rig.cycle.step()
+            least = min(least, rig.cycle.judge.interaction[0] - rig.cycle.ledgers[0].supplied)
+        assert rig.far.summary().cut > 0
+    peer.close()
+    assert -0.04 - 1e-9 <= least <= -0.01
 
 
 @pytest.mark.parametrize("has_poll", [True, False])
