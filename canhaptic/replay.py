@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypedDict, TypeVar
 
 import can
 
@@ -39,6 +39,9 @@ from canhaptic.scene import parts
 from canhaptic.scene.build import build_loss_meters
 from canhaptic.scene.models import Scene
 from canhaptic.scene.scene_logs import Channels, describe_nodes
+
+if TYPE_CHECKING:
+    from canhaptic.logs.frame_log import LoggedFrame
 
 _Frame = TypeVar("_Frame")
 _ENABLE_BITS: Final = int(od.Controlword.ENABLE_OPERATION)
@@ -574,28 +577,43 @@ class LineReplay(NamedTuple):
     difference: str  # the first other frame, in words; empty where every frame is the recorded one
 
 
-def replay_line(bus_log: str | Path, scene: Scene, *, dry_run: bool = False) -> LineReplay:
+def replay_line(bus_log: str | Path, scene: Scene, *, dry_run: bool = False, cycles: int | None = None) -> LineReplay:
     """Replay the log of a simulated EtherCAT line: every frame of the master must be the recorded one, at its time.
 
     Args:
         bus_log: The log of a run in virtual time that was not interrupted.
         scene: Scene of the run.
         dry_run: Whether it was a dry run.
+        cycles: Cycles of the run, with those of its stop; None: as many as the scene says.
 
     Raises:
         InputError: The log cannot be read, or the scene has no simulated EtherCAT line of its own.
     """
-    from canhaptic.logs.frame_log import ReplayDepartureError, read_frame_log
-    from canhaptic.scene.build import Experiment
+    from canhaptic.logs.frame_log import read_frame_log
 
-    frames, difference = read_frame_log(bus_log), ""
+    frames = read_frame_log(bus_log)
     if len(scene.buses) > 1 or not scene.simulated or getattr(scene.bus, "type", "can") != "ethercat":
         raise InputError(f"{bus_log}: is the log of a simulated EtherCAT line; give the scene of one such line")
-    duration = scene.run.duration
-    cycles = None if duration is None else max(1, round(duration / scene.bus.sample_time))
+    duration, found = scene.run.duration, list[LineReplay]()
+    declared = None if duration is None else max(1, round(duration / scene.bus.sample_time))
+    for most in dict.fromkeys((cycles or declared, declared, None)):  # None: it ended for its reason
+        found.append(_played(frames, scene, most, dry_run=dry_run))
+        if not found[-1].difference:
+            return found[-1]
+    return max(found, key=lambda one: one.compared)
+
+
+def _played(frames: "list[LoggedFrame]", scene: Scene, cycles: int | None, *, dry_run: bool) -> LineReplay:
+    """Return the outcome of one replay, which is stopped so that it has so many cycles; None: it ends by itself."""
+    from canhaptic.logs.frame_log import ReplayDepartureError
+    from canhaptic.scene.build import Experiment
+
+    difference = ""
     with Experiment(scene, "free", None, None, no_torque=dry_run, recorded=frames) as experiment:
+        cycle = experiment.cycle
+
         try:
-            run(experiment.cycle, cycles)
+            run(cycle, None, lambda: cycles is not None and _is_due(cycle, cycles, scene.bus.rate))
         except ReplayDepartureError as error:
             difference = str(error)
         except RigError:
@@ -605,6 +623,14 @@ def replay_line(bus_log: str | Path, scene: Scene, *, dry_run: bool = False) -> 
     if left and not difference:
         difference = f"frame {len(frames) - left + 1}: recorded, and not sent"
     return LineReplay(sum(not frame.is_answer for frame in frames), compared, difference)
+
+
+def _is_due(cycle: Cycle, cycles: int, rate: float) -> bool:
+    """Return whether a stop that begins now ends after so many cycles in all."""
+    if cycle.cycles + _LONGEST_STOP * rate < cycles:
+        return False
+    stop = cycle.planned_stop()
+    return cycle.cycles + (0 if stop is None else stop.left) >= cycles
 
 
 _LONGEST_STOP: Final = 2.0  # [s]: a brake sets within 1 s

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil, inf
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, NotRequired, TypedDict, cast, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, NotRequired, TypedDict, cast, get_args
 
 import numpy as np
 
@@ -39,6 +39,9 @@ from canhaptic.scene.own_code import apart, require_same_code
 from canhaptic.scene.parts import build_axis_meters, build_ports, lateness_of
 from canhaptic.scene.scene_logs import Channels
 from canhaptic.signals import FarRow, Sample
+
+if TYPE_CHECKING:
+    from canhaptic.audit.listened_line import ListenedLine
 
 _INPUTS: Final = ("position", "torque_applied", "fresh")
 _OUTPUTS: Final = tuple({"torque": "torque_command", **NEW_COLUMNS}.get(name, name) for name in EnergyBalance._fields)
@@ -283,8 +286,7 @@ def samples_of(bus_log: str | Path, scene: Scene, remarks: Remarks) -> Iterator[
         LogFormatError: The bus log cannot be read, or the time of a SYNC is not known, so that a hold has no length.
     """
     together = {axis: group for group in scene.group_places for axis in group}
-    drives, cycle = [_declared(axis, scene) for axis in scene.axes], -1
-    axes, rows = (_on_can if kind_of(scene.bus) == "can" else _on_line)(drives, scene, bus_log, remarks)
+    cycle, axes, rows = -1, *(_on_can if kind_of(scene.bus) == "can" else _on_line)(scene, bus_log, remarks)
     for periods in rows:
         if cycle >= 0 and any(axis.has_left for axis in axes):
             return
@@ -302,15 +304,31 @@ _HeardRows = tuple[Sequence[HeardAxis], Iterator[int]]
 """Axes, and for each SYNC, once they have heard what answers it, the sample times since the one before."""
 
 
-def _on_line(drives: Sequence[DeclaredDrive], scene: Scene, bus_log: str | Path, remarks: Remarks) -> _HeardRows:
+def line_of(scene: Scene, remarks: Remarks) -> "ListenedLine":
+    """Return the axes of the EtherCAT line of a scene, which have heard nothing yet; raise InputError."""
     from canhaptic.audit.listened_line import ListenedLine
 
-    line = ListenedLine(drives, scene, remarks)
+    return ListenedLine([_declared(axis, scene) for axis in scene.axes], scene, remarks)
+
+
+def cycles_on_line(bus_log: str | Path, scene: Scene) -> int | None:
+    """Return the cycles of a recorded run of a line, with those of its stop; None without one. Errors as `samples_of`.
+
+    No frame says where a stop began, but the drives answer as enabled until they were told to leave.
+    """
+    line = line_of(scene, Remarks())
+    enabled = [n for n, _ in enumerate(line.rows(bus_log)) if all(axis.is_enabled for axis in line.axes)]
+    answered = 1 + scene.bus.delay  # once more than they were told to
+    return max(1, enabled[-1] - enabled[0] + 1 - answered) if enabled else None
+
+
+def _on_line(scene: Scene, bus_log: str | Path, remarks: Remarks) -> _HeardRows:
+    line = line_of(scene, remarks)
     return line.axes, line.rows(bus_log)
 
 
-def _on_can(drives: Sequence[DeclaredDrive], scene: Scene, bus_log: str | Path, remarks: Remarks) -> _HeardRows:
-    axes = [ListenedAxis(drive) for drive in drives]
+def _on_can(scene: Scene, bus_log: str | Path, remarks: Remarks) -> _HeardRows:
+    axes = [ListenedAxis(_declared(axis, scene)) for axis in scene.axes]
     return axes, _rows_of_can(axes, scene, bus_log, remarks)
 
 

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 from rich.text import Text
 
+from canhaptic.audit.recompute import cycles_on_line
 from canhaptic.audit.recompute import scene_of as scene_of_log
 from canhaptic.audit.replay_coverage import Covered, covered, scene_next_to
 from canhaptic.cli.options import check_place, scene_of
@@ -15,6 +16,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.frame_log import is_frame_log
 from canhaptic.logs.repair import require_readable
 from canhaptic.replay import FrameWords, ReplayResult, replay_bus_log, replay_line
+from canhaptic.scene.buses import kind_of
 from canhaptic.view.energy_table import energy_report
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.terminal import write_json
@@ -71,7 +73,11 @@ def _replay_line(arguments: argparse.Namespace) -> int:
     """Replay the log of an EtherCAT line."""
     if arguments.config is None:
         arguments.config = scene_next_to(arguments.bus_log)
-    result = replay_line(arguments.bus_log, scene_of(arguments), dry_run=arguments.no_torque)
+    path, scene = arguments.bus_log, scene_of(arguments)
+    is_line = kind_of(scene.bus) != "can" and len(scene.buses) == 1
+    result = replay_line(
+        path, scene, dry_run=arguments.no_torque, cycles=cycles_on_line(path, scene) if is_line else None
+    )
     if arguments.json:
         write_json(result._asdict())
     else:

@@ -33,6 +33,14 @@ def test_every_frame_of_a_run_is_sent_again_and_another_scene_is_named(
     assert "recorded 0x" in capsys.readouterr().out
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("change", ["bus.frames=1", "simulation.bus={falls_to_safe_op: 0.2 s}", "bus.rate=500"])
+def test_a_run_that_ended_before_its_scene_says_is_replayed_to_its_end(change: str, tmp_path: Path) -> None:
+    path, changes = tmp_path / "line.pcap", [*SHORT[2:], "--set", change]
+    main(["run", str(SCENE), *changes, "--duration", "0.4", "--bus-log", str(path)])
+    assert main(["replay", str(path), "--config", str(SCENE), *changes]) == 0
+
+
 def test_one_flipped_bit_of_an_answer_is_named(log: Path) -> None:
     frames = read_frame_log(log)
     number = next(
