@@ -29,6 +29,9 @@ _TYPES: Final = {
 _OF_SIZE: Final = {1: DataType.BOOLEAN, 8: DataType.UNSIGNED8, 16: DataType.UNSIGNED16, 32: DataType.UNSIGNED32}
 _SIGNED: Final = {DataType.INTEGER8: 8, DataType.INTEGER16: 16, DataType.INTEGER32: 32, DataType.INTEGER64: 64}
 _REALS: Final = (DataType.REAL32, DataType.REAL64)
+_NAMES: Final = frozenset({"Name", "Type", "GroupType", "Fmmu", "Sm", "URL", "InfoReference"})
+_OF_THE_VENDOR: Final = range(0x2000, 0x6000)
+_TOLD: Final = range(0x1008, 0x100B)  # name of the device, versions of hardware and software
 _ASSIGNMENTS: Final = {"RxPdo": 0x1C12, "TxPdo": 0x1C13}
 _MOST_ELEMENTS: Final = 255
 
@@ -98,12 +101,43 @@ def _listed(numbers: list[int]) -> str:
 
 
 @lru_cache(maxsize=32)
-def _read(path: Path, content: bytes) -> tuple[EsiDictionary, ...]:
+def without_names(path: str | Path) -> str:
+    """Return an ESI without names of vendor, groups and devices, pictures, comments and serial number.
+
+    Args:
+        path: The file, or one compressed by gzip.
+
+    Raises:
+        DictionaryError: The file cannot be read, or is no XML.
+    """
+    path = Path(path)
+    root = _parsed(path, dictionary_content(path))
+    kept = {id(of) for dictionary in root.iter("Dictionary") for of in dictionary.iter()}
+    for of in root.iter():
+        is_name = of.tag in _NAMES and id(of) not in kept
+        if is_name or of.tag == "Comment" or of.tag.startswith("Image"):
+            of.text = ""
+    for item in root.iter("Object"):
+        index = _number(item.findtext("Index"))
+        members = [item] if index in _TOLD else item.findall("Info/SubItem")[4:5] if index == IDENTITY else []
+        for of in (of for member in members for of in member.iter()):
+            if of.tag.startswith("Default"):
+                of.text = ""
+        for of in item.findall("Name") if index in _OF_THE_VENDOR else ():
+            of.text = ""
+    return ET.tostring(root, encoding="unicode")
+
+
+def _parsed(path: Path, content: bytes) -> ET.Element:
     text = text_of(path, content)
     try:
-        root = ET.fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text))
+        return ET.fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text))
     except ET.ParseError as error:
         raise DictionaryError(f"{path}: is no XML ({error}); give the ESI of the drive's vendor") from error
+
+
+def _read(path: Path, content: bytes) -> tuple[EsiDictionary, ...]:
+    root = _parsed(path, content)
     if root.tag != "EtherCATInfo":
         raise DictionaryError(f"{path}: got element {root.tag!r}, expected EtherCATInfo; give the ESI of the drive")
     vendor = _number(root.findtext("Vendor/Id")) or 0

@@ -91,11 +91,8 @@ def _copied(scene: Scene, out: Path, *, anonymous: bool) -> Path:
     changes: list[Change] = []
     for number, axis in enumerate(scene.axes):
         key, path = DICTIONARIES[kind_of(scene.bus_of(axis))], axis.parameters.dictionary_path
-        name = f"drive{number}{path.suffix}"
-        content = path.read_bytes().decode("latin-1")
-        if anonymous:
-            content = _SERIAL.sub(r"\g<1>0", _NAMES.sub(lambda found: f"{found[1]}=", content))
-        (out / name).write_bytes(content.encode("latin-1"))
+        name = f"drive{number}{Path(path.name.removesuffix('.gz')).suffix}"
+        (out / name).write_bytes(_content(path, is_esi=key == "esi", anonymous=anonymous))
         changes.append(Change(("axes", str(number), key), name))
     overrides = [Change(*split_override(text)) for text in scene.overrides]
     text = edited_text(scene.text, [*overrides, *changes])
@@ -103,6 +100,18 @@ def _copied(scene: Scene, out: Path, *, anonymous: bool) -> Path:
         text = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#")) + "\n"
     write_file(out / "rig.yaml", text)
     return out / "rig.yaml"
+
+
+def _content(path: Path, *, is_esi: bool, anonymous: bool) -> bytes:
+    """Return the content of a dictionary, without the names in it if asked for."""
+    if not anonymous:
+        return path.read_bytes()
+    if is_esi:
+        from canhaptic.canopen.esi import without_names
+
+        return without_names(path).encode()
+    content = path.read_bytes().decode("latin-1")
+    return _SERIAL.sub(r"\g<1>0", _NAMES.sub(lambda found: f"{found[1]}=", content)).encode("latin-1")
 
 
 def _run(scene: Scene, name: str, arguments: argparse.Namespace, dialogue: Dialogue, stop: StopSignal) -> None:

@@ -2,12 +2,14 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
 
-from canhaptic.canopen.esi import read_esi
+from canhaptic.canopen.esi import read_esi, without_names
 from canhaptic.cli.main import main
+from canhaptic.drive.ethercat.esi_survey import judge
 from canhaptic.sim.drive.ethercat.eeprom import slave_information
 from tests.scene.scene_text import REPOSITORY
 from tools.make_esi import make_two_revisions
@@ -103,11 +105,26 @@ def test_the_mode_without_sync0_is_passed_over(tmp_path: Path) -> None:
     assert read_esi(path).assign_activate == 0x0300
 
 
+def test_an_esi_without_names_describes_the_same_drive(tmp_path: Path) -> None:
+    text, path = ESI.read_text(encoding="utf-8"), tmp_path / "drive.xml"
+    secret = "<Name>Ada</Name><ImageData16x14>Ada</ImageData16x14>"
+    path.write_text(text.replace("<Name>canhaptic</Name>", secret).replace(">ethercat_servo<", ">Ada<"))
+    assert path.read_text().count("Ada") == 3
+    path.write_text(without_names(path))
+    assert not re.search("Ada|canhaptic|generic", path.read_text())
+    found, known = read_esi(path), read_esi(ESI)
+    assert (found.title, found.identity, found.assign_activate) == ("", known.identity, known.assign_activate)
+    assert judge(path, found)[1:] == judge(ESI, known)[1:]
+
+
 def test_an_eeprom_is_judged_by_what_it_lists(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "drive.bin"
     content = slave_information((1, 2, 3, 4), "servo", has_information=True)
     path.write_bytes(content)
     assert verdict(capsys, path)[:2] == (1, "only the drive can say")
+    assert main(["new", str(path)]) == 2
+    assert "only the drive can say: the file has no dictionary" in (said := capsys.readouterr().err)
+    assert "get the drive's ESI with its objects" in said
     path.write_bytes(b"\0" + content[1:])
     assert main(["check-eds", str(path)]) == 2
     assert "check sum: got" in capsys.readouterr().err

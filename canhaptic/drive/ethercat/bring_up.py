@@ -13,6 +13,7 @@ from typing import Final
 from canhaptic.canopen.objects import is_writable
 from canhaptic.drive.ethercat.image_map import write_image
 from canhaptic.drive.ethercat.parameters import ASSIGN_ACTIVATE
+from canhaptic.drive.ethercat.phase_lock import LOCK_RULE
 from canhaptic.drive.ethercat.segment import AlError, AlState
 from canhaptic.drive.ethercat.servo_drive import SYNC_ACTIVATION, SYSTEM_TIME, WATCHDOG, EthercatDrive
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
@@ -200,15 +201,18 @@ class EthercatBringUp(BringUp):
         return next((value for value in (stated, of_file) if value is not None), ASSIGN_ACTIVATE)
 
     def _lock_phase(self) -> None:
-        """Run cycles until the phase has been within 5 % of the period for 1 s, and the clock of every drive is."""
+        """Run cycles until the deadlines are locked on SYNC0, see `PhaseLock`, and the clock of every drive follows."""
         line = self._drive.line
         end, apart = line.clock.now() + _LOCK_SECONDS * 1_000_000_000, ""
         while not line.lock.is_locked or (apart := self._apart()):
             require_none()
             if line.clock.now() >= end:
                 share = 100.0 * line.lock.error / self._drive.sample_time_ns
-                seen = apart or f"an error of {share:.3g} % of the period after {_LOCK_SECONDS} s"
-                raise self.refusal("phase lock", seen, "at most 5 % of the period for 1 s")
+                seen = (
+                    apart
+                    or f"{line.lock.missing} frames short of it after {_LOCK_SECONDS} s, the last {share:.3g} % off"
+                )
+                raise self.refusal("phase lock", seen, LOCK_RULE)
             line.idle()
 
     def _apart(self) -> str:

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.esi import EsiDictionary, read_esi
-from canhaptic.canopen.sii import is_sii
+from canhaptic.canopen.sii import is_sii, read_sii
 from canhaptic.drive.ethercat.image_map import choose_image, image_findings
 from canhaptic.drive.ethercat.parameters import ASSIGN_ACTIVATE, EthercatAxisParameters
 from canhaptic.drive.profile.fitness import Verdict, profile_findings, stated_default
@@ -74,14 +74,16 @@ def surveyed(path: Path) -> Survey:
     """Return what a first scene needs to know of the only drive of an ESI.
 
     Raises:
-        DictionaryError: The file cannot be read, describes several products, or its drive cannot be used.
+        DictionaryError: The file cannot be read, describes several products or, as an EEPROM, no objects, or its drive
+            cannot be used.
     """
-    device = read_esi(path)
+    device = read_sii(path) if is_sii(path) else read_esi(path)
     verdict = judge(path, device)
     if verdict.judgement is Judgement.UNFIT or not device.is_whole:
-        raise DictionaryError(
-            f"{path}: {verdict.judgement.value}: {'; '.join(verdict.reasons)}; see canhaptic check-eds"
+        remedy = (
+            "see canhaptic check-eds" if device.is_whole else "get the drive's ESI with its objects, from its vendor"
         )
+        raise DictionaryError(f"{path}: {verdict.judgement.value}: {'; '.join(verdict.reasons)}; {remedy}")
     axis: Any = _axis(path, device)
     vendor, product, _ = device.identity
     image: Any = choose_image(device, axis)

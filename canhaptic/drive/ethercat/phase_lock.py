@@ -3,8 +3,8 @@
 The phase is the time from SYNC0 until a frame passes the reference clock. Its error is folded into half a period, so
 that the loop takes the shorter way from any phase. The loop follows the deadlines, not the frames: what a frame left
 late, on a loaded host, is no drift and is taken out of its error, and one that was on the way for longer than usual
-says nothing. The start waits until the error of the deadlines has been small for a second; a deadline that was not
-kept now and then only makes that longer.
+says nothing. The start waits until the deadlines were close to their phase for a second of frames; each that was not
+takes back ten, so that a loaded host locks later, and one with less than ten close frames for each other never does.
 """
 
 from typing import Final
@@ -14,9 +14,13 @@ _INTEGRAL: Final = 0.002
 _LARGEST_DRIFT: Final = 0.002  # of the host against the reference clock, beyond every quartz
 _CLOSE: Final = 0.1  # part of the period within which an error tells of drift, and not of the way to go
 _LOCKED: Final = 0.05  # part of the period
-_COST: Final = 10  # close frames that one other takes back: a lock has 90 % of close ones
+_COST: Final = 10  # close frames that one other takes back
 _USUAL: Final = 8  # 2^-8 of the period: by so much each frame moves what is usual
 _SECOND: Final = 1_000_000_000  # [ns] for which the error must be small
+LOCK_RULE: Final = (
+    f"deadlines within {_LOCKED:.0%} of the period for 1 s of frames, each other frame taking back {_COST}"
+)
+"""What a lock is, in words."""
 
 
 class PhaseLock:
@@ -50,8 +54,13 @@ class PhaseLock:
 
     @property
     def is_locked(self) -> bool:
-        """Whether the error has been small for a second."""
-        return self.close >= self._needed
+        """Whether the deadlines were close for a second of frames, less what the others took back."""
+        return self.missing <= 0
+
+    @property
+    def missing(self) -> int:
+        """Close frames that a lock still needs."""
+        return self._needed - self.close
 
     def hold_of(self, dc_time: int) -> int:
         """Return the index of the hold of a system time: hold 0 begins at `first`."""

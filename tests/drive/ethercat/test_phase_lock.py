@@ -34,6 +34,18 @@ def test_it_is_locked_only_after_a_second_within_5_percent() -> None:
     assert run(PERIOD // 4, 0.0, 1000)[1].is_locked
 
 
+@pytest.mark.parametrize(("good", "locked_after"), [(30, 1539), (9, None)])
+def test_a_deadline_that_was_not_kept_takes_back_ten(good: int, locked_after: int | None) -> None:
+    lock, found = PhaseLock(PERIOD, PERIOD // 4), None
+    lock.begin(0)
+    for cycle in range(1, 5001):
+        lock.follow(cycle * PERIOD + PERIOD // 4 + (PERIOD // 10 if cycle % (good + 1) == 0 else 0))
+        if lock.is_locked:
+            found = cycle
+            break
+    assert found == locked_after
+
+
 def test_a_quartz_beyond_belief_is_never_locked() -> None:
     assert not run(0, 20_000.0, 3000)[1].is_locked
 
