@@ -471,7 +471,7 @@ def tried(scene: Scene, name: str) -> UnderAlgorithm:
     try:
         return under(scene, name)
     except ParameterError as error:
-        return UnderAlgorithm(None, f"refused: {error}")
+        return UnderAlgorithm(None, str(error).splitlines()[0])
 
 
 def _able(axis: AxisScene, name: str, scene: Scene) -> tuple[AxisScene, tuple[str, ...]]:

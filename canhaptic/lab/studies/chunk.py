@@ -204,10 +204,7 @@ def scene_of(recipe: Recipe, row: Row) -> UnderAlgorithm:
     if scene.groups:
         name = scene.groups[0].name
         return UnderAlgorithm(None, f"{CONTROLLER} {controller}: group {name!r} has algorithms of its own")
-    try:
-        return axis_loop.under(scene, str(controller))
-    except ParameterError as error:
-        return UnderAlgorithm(None, _first_line(error))
+    return axis_loop.tried(scene, str(controller))
 
 
 def seeded(recipe: Recipe, scene: Scene, index: int) -> Scene:

@@ -225,7 +225,7 @@ def _of_axis(
     cost = axis_loop.microseconds_per_step(cases, repeats) if repeats else {}
     accounts = {}
     for name, (given, case, run) in tried.items():
-        remarks = case.remark, "" if run is None else run.reason
+        remarks = (f"refused: {case.remark}",) if run is None else (case.remark, run.reason)
         accounts[name] = {
             "status": "refused" if run is None else run.ended or "completed",
             "remark": "; ".join(filter(None, remarks)),

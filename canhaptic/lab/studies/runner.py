@@ -132,6 +132,11 @@ def begin_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    end_with_parent()
+
+
+def end_with_parent() -> None:
+    """Let this process end as soon as its parent has ended, for any reason."""
     threading.Thread(target=_follow_parent, daemon=True).start()
 
 

@@ -15,11 +15,9 @@ import os
 import select
 import signal
 import socket
-import threading
 from collections.abc import Callable, MutableSequence
 from dataclasses import dataclass, replace
-from multiprocessing import parent_process
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
@@ -28,6 +26,7 @@ from canhaptic.cycle import run
 from canhaptic.drive.clock import DurationHistogram, WallClock
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.loop.axis_loop import Array
+from canhaptic.lab.studies.runner import end_with_parent
 from canhaptic.lab.touch.two_sides import TouchScene, two_sides
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.given import parcel, unpack
@@ -113,19 +112,12 @@ def columns(touched: TouchScene) -> list[str]:
 def work(pipe: Connection, shared: SharedNumbers) -> None:
     """Main function of the process: run the jobs from the pipe, one after the other, until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_follow_parent, daemon=True).start()
+    end_with_parent()
     with contextlib.suppress(OSError), socket.socket(fileno=os.dup(pipe.fileno())) as end:
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 22)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             _HandRun(pipe.recv(), pipe, shared).run()
-
-
-def _follow_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
 
 
 class _HandRun:
