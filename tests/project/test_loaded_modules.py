@@ -10,10 +10,14 @@ from tests.acceptance.two_processes import Listener, canhaptic, shared_bus  # no
 from tools.count_structure import code_of, loaded_modules
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-CODE_OF_A_REAL_AXIS: Final = 10_000
+CODE_OF_A_REAL_AXIS: Final = 12_300
 """Most lines of code that one real axis may load, on a bus that is not SocketCAN and without its preflight (170)."""
-CODE_OF_THE_DEMO: Final = 10_500
-"""Most lines of code that the demo may load, its simulation in `canhaptic/sim/` left out."""
+CODE_OF_THE_DEMO: Final = 12_800
+"""Most lines of code that the demo may load, its simulation in `canhaptic/sim/` left out.
+
+Both are what was reached on 29 November 2026, with no module of another bus, of groups or of a far side: a fifth reads
+and checks the scene, a fifth checks and starts the drive, a seventh is `guarded` with its certificates.
+"""
 KINDS: Final[dict[str, tuple[str, ...]]] = {
     "simulation": (
         *("sim.drive", "sim.bus", "sim.plant.plant", "sim.plant.user", "control.energy_audit"),
