@@ -25,6 +25,8 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.pair import Pair
 from tools.attack.far import FALSE, GIVEN, MUTANTS, campaign, run
+from tools.attack.far_rivals import CELLS, figures
+from tools.attack.far_rivals import NAMES as RIVALS
 from tools.bench.report import Row, kept_folder, publish
 from tools.kept_runs import run_kept
 
@@ -204,6 +206,22 @@ def first_touch(round_trip: float, asked: float, seeds: int = 10) -> list[Row]:
     ]  # fmt: skip
 
 
+def of_rivals() -> list[Row]:
+    """Returns what other couplings render of the same hand and wall, and what they give out."""
+    rows = []
+    for method, rival in enumerate(RIVALS):
+        for trip, loss in CELLS:
+            felt, drag, given = figures(method, 1e-3 * trip, 0.01 * loss)
+            name = f"{rival}, {trip:g} ms, {loss:g} % lost"
+            if felt is not None:  # else the hand does not get to the wall
+                rows.append(Row(f"{name}: felt at the last touch", felt, "N/m"))
+            rows += [
+                Row(f"{name}: drag in free motion, rms", drag, "N"),
+                Row(f"{name}: energy given out by both", given, "J"),
+            ]
+    return rows
+
+
 def mutated(packets: int) -> Row:
     """Returns how many packets of a session that were changed in up to 4 bits its other side takes."""
     draw, taken, key = np.random.default_rng(3), 0, bytes(range(32))
@@ -276,10 +294,9 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=60.0, help="for the networks, and for the pairs")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     asked = parser.parse_args()
-    cells = [(0.0, 0.0), (10.0, 5.0), (40.0, 0.0), (40.0, 20.0), (100.0, 0.0), (300.0, 0.0), (300.0, 20.0)]
-    models = [row for cell in cells for row in by_model(*cell)]
+    models = [row for cell in CELLS for row in by_model(*cell)]
     touches = [*first_touch(40.0, 900.0), *first_touch(100.0, 350.0)]
-    rows = [packet_cost(), flood(), mutated(10**6), felt(0.0), felt(10.0), *models, *touches]
+    rows = [packet_cost(), flood(), mutated(10**6), felt(0.0), felt(10.0), *models, *touches, *of_rivals()]
     rows += [row for trip in (0.0, 40.0, 300.0) for row in two_logs(trip)]
     rows += [*over_buses(asked.pairs, asked.minutes, asked.jobs), *mutants()]
     publish("far_worlds", [*networks(asked.networks, asked.minutes, asked.jobs), *rows], _PACKAGES)
