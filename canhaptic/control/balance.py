@@ -121,3 +121,20 @@ def residual(balance: EnergyBalance, stored_before: float) -> float:
     """Return the error of one step in the identity of the stored energy [J], 0 but for rounding; see the module."""
     flows_out = (balance.h_s - stored_before) + balance.h_r - balance.h_i - balance.gen + balance.h_pas
     return flows_out - balance.deficit + balance.leak
+
+
+def held(last: EnergyBalance, torque: float) -> EnergyBalance:
+    """Return the balance of a SYNC without a sample: nothing is booked, and the state is as it was."""
+    return last._replace(
+        torque=torque,
+        branch=Branch.HELD.value,
+        h_i=0.0,
+        h_pas=0.0,
+        h_m=0.0,
+        h_r=0.0,
+        gen=0.0,
+        deficit=0.0,
+        leak=0.0,
+        paid=0.0,
+        supplied=0.0,
+    )

@@ -145,7 +145,7 @@ _LOOP, _DISPLAY_LOOP = ("algorithm", LOOP_KEYS), ("algorithm", DISPLAY_LOOP_KEYS
 _OF_ONE, _OF_SEVERAL = "of an admittance display", "of several admittance displays"
 _ENVIRONMENT_OF_DISPLAY = ComponentOf(displays.DISPLAY_ENVIRONMENTS, f"environment {_OF_ONE}")
 _ALGORITHM_OF_DISPLAY = ComponentOf(displays.DISPLAY_ALGORITHMS, f"algorithm {_OF_ONE}", *_DISPLAY_LOOP)
-_ALGORITHM_OF_DISPLAYS = ComponentOf(displays.DISPLAY_GROUP_ALGORITHMS, f"algorithm {_OF_SEVERAL}", *_DISPLAY_LOOP)
+_ALGORITHM_OF_DISPLAYS = ComponentOf(displays.DISPLAY_ALGORITHMS, f"algorithm {_OF_SEVERAL}", *_DISPLAY_LOOP)
 _NETWORK_OF_DISPLAYS = ComponentOf(displays.DISPLAY_NETWORKS, f"network {_OF_SEVERAL}")
 _ENVIRONMENT = ComponentOf(
     ENVIRONMENTS, "environment", displays=_ENVIRONMENT_OF_DISPLAY, others=(NETWORKS, "a network of a group")

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.cli.main import main
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.admittance.group_environment import PathMass, nearest
 from canhaptic.cycle import run
 from canhaptic.drive.profile.admittance_parameters import ForceChannel, ForceParameters
@@ -471,7 +471,7 @@ def test_no_real_display_runs_with_an_unknown_jitter() -> None:
     ("override", "words"),
     [
         ("bus.rpdo=event", "rpdo: event"),
-        ("groups.0.passivity.largest_hand_force=20 N", "largest_hand_force"),
+        ("groups.0.passivity.hand_speed=1 m/s", "expected 0 without hand_stiffness"),
         ("groups.0.network.points=[[0, 0, 0], [1, 0, 0]]", "coordinates"),
         ("axes.1.admittance.force.latency=1", "latency"),
         ("groups.0.network.type=sphere", "expected one of: cup_and_ball, guided_path, virtual_mass"),
@@ -505,7 +505,7 @@ def test_an_arm_of_two_displays_renders_a_mass_in_the_plane(capsys: pytest.Captu
     assert max(reach) < 0.602  # the wall at x = 0.6 m, in task space
     assert main(["compare", str(scene), "--duration", "0.2", "--json"]) == 0
     compared = json.loads(capsys.readouterr().out)["axes"]["handle"]
-    assert set(compared) == set(DISPLAY_GROUP_ALGORITHMS)
+    assert set(compared) == set(DISPLAY_ALGORITHMS)
 
 
 @pytest.mark.parametrize(("dictionary", "analog"), [("maxon_epos4.dcf", "0x3160.1"), ("elmo_gold.dcf", "0x2205.1")])

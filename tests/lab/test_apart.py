@@ -5,7 +5,7 @@ from typing import Final
 
 import pytest
 
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS
 from tools.count_structure import loaded_modules
@@ -31,7 +31,7 @@ def test_a_run_with_a_rival_loads_that_rival_alone() -> None:
     assert found == {LAB, f"{LAB}.rivals", f"{LAB}.rivals.a_priori_dissipation"}
 
 
-@pytest.mark.parametrize("table", [ALGORITHMS, GROUP_ALGORITHMS, DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS])
+@pytest.mark.parametrize("table", [ALGORITHMS, GROUP_ALGORITHMS, DISPLAY_ALGORITHMS])
 def test_the_product_keeps_four_algorithms_and_names_the_rivals(table: dict[str, str]) -> None:
     kept = {name for name, place in table.items() if not place.startswith(f"{LAB}.rivals.")}
     assert "guarded" in kept

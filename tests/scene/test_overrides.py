@@ -8,7 +8,7 @@ import pytest
 
 from canhaptic.cli.long_command import notes
 from canhaptic.cli.main import main
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_ENVIRONMENTS, DISPLAY_GROUP_ALGORITHMS
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_ENVIRONMENTS
 from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import InputError, OverrideWarning, SceneError
@@ -92,7 +92,7 @@ SWITCHES = [
     ("two_handles.yaml", "groups.0.passivity.algorithm", {"guarded": "", "step_scaling": "", "unprotected": ""}),
     ("admittance/virtual_mass.yaml", "passivity.algorithm", DISPLAY_ALGORITHMS),
     ("admittance/virtual_mass.yaml", "environment.type", DISPLAY_ENVIRONMENTS),
-    ("admittance/guided_path.yaml", "groups.0.passivity.algorithm", DISPLAY_GROUP_ALGORITHMS),
+    ("admittance/guided_path.yaml", "groups.0.passivity.algorithm", DISPLAY_ALGORITHMS),
 ]
 
 PLAIN_NAMES = [

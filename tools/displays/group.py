@@ -15,7 +15,7 @@ from canhaptic.control.mechanisms.planar_2r import Planar2R
 from canhaptic.sim.plant.velocity_drive import AdmittancePlant
 from tools.displays.direct import Display, Outcome, watch
 from tools.displays.judge import claims_of
-from tools.displays.random_display import random_display
+from tools.displays.random_display import _STATIC, random_display
 
 _PARTS = 4
 """Parts of a hold in which slew and acceleration are watched; a power of two."""
@@ -41,13 +41,12 @@ class GroupOutcome:
     overclaimed: float = 0.0  # believed above true, at most
     underclaimed: float = 0.0  # true above believed and resolution together, at most
     uncertified: int = 0
+    by_hand: int = 0  # holds whose commands rest on a declared hand
     given_by_one: float = 0.0  # least true energy of one axis alone
 
 
-_NO_HAND = {
-    "largest_hand_force": 0.0, "hand_stiffness": 0.0, "hand_speed": 0.0, "hand_damping": 0.0,
-    "drive_friction": None, "drive_damping": 0.0,
-}  # fmt: skip
+_BY_HAND = (Certificate.LARGEST_HAND_FORCE.value, Certificate.DECLARED_HAND.value)
+_NO_HAND = {"hand_stiffness": 0.0, "hand_speed": 0.0, "hand_damping": 0.0, "drive_friction": None, "drive_damping": 0.0}
 
 
 def random_group(seed: int, size: int = 2) -> AdmittanceGroup:
@@ -65,7 +64,12 @@ def random_group(seed: int, size: int = 2) -> AdmittanceGroup:
     if random.random() < 0.5:
         corners = tuple(corner[:size] for corner in ((-0.02, 0.0, 0.01), (0.02, 0.0, -0.02), (0.02, 0.03, 0.0)))
         environment = PathMass(mass=mass, damping=damping, points=corners, closed=random.random() < 0.5)
-    return AdmittanceGroup((first, *others), environment, known.model_copy(update=_NO_HAND))
+    if known.hand_stiffness:
+        known = known.model_copy(update={
+            "drive_friction": max(_STATIC if axis.effects else 0.0 for axis in (first, *others)),
+            "drive_damping": max(axis.plant.damping for axis in (first, *others)),
+        })  # fmt: skip
+    return AdmittanceGroup((first, *others), environment, known)
 
 
 def group_of_any_kind(seed: int) -> AdmittanceGroup:
@@ -90,7 +94,9 @@ def with_spring_or_balls(group: AdmittanceGroup) -> AdmittanceGroup:
 
 def _beside(first: Display, other: Display, random: Random) -> Display:
     """Returns a display with the loop and the timing that a group shares with its first one."""
-    plant = first.plant.model_copy(update={"mass": first.plant.mass * random.uniform(0.7, 1.0)})
+    is_declared = bool(getattr(first.parameters, "hand_stiffness", 0.0))
+    lightest = 0.9 if is_declared else 0.7  # with such a hand the mass has a lower bound
+    plant = first.plant.model_copy(update={"mass": first.plant.mass * random.uniform(lightest, 1.0)})
     shared = {key: getattr(first.properties, key) for key in ("sample_time", "delay", "latency")}
     other = _with_means(other) if other.properties.sampling == "impulse" else other
     sensor = other.simulation.sensor.model_copy(update={"latency": first.properties.latency})
@@ -136,7 +142,8 @@ def _around(group: AdmittanceGroup, of: Kinematics, places: tuple[float, float],
     if random.random() < 0.5:
         x, y = of.pose(places).position
         environment = GroupMass(mass=mass, damping=damping, lower=(x - 0.01, y - 1.0), upper=(x + 1.0, y + 0.01))
-    return replace(group, axes=tuple(axes), environment=environment, kinematics=of)
+    known = group.parameters.model_copy(update=_NO_HAND)
+    return replace(group, axes=tuple(axes), environment=environment, kinematics=of, parameters=known)
 
 
 def _with_means(display: Display) -> Display:
@@ -187,6 +194,7 @@ def run_group(group: AdmittanceGroup, cycles: int) -> GroupOutcome:
             most = found.believed + controller.energy_resolution
             found.underclaimed = max(found.underclaimed, sum(energies) - most)
         found.uncertified += balance.account.certificate == Certificate.NONE.value
+        found.by_hand += balance.account.certificate in _BY_HAND
     return found
 
 
@@ -203,9 +211,17 @@ def with_true_group_bounds(group: AdmittanceGroup, cycles: int) -> tuple[Admitta
                 "handle_acceleration": max(declared.handle_acceleration, 1.5 * seen.acceleration),
             }
             axes.append(replace(axis, properties=declared.model_copy(update=bounds)))
+        known, shown = group.parameters, max(axis.force for axis in found.axes)
+        far = max(axis.far_speed for axis in found.axes)
+        if known.largest_hand_force:
+            is_true = is_true and shown <= known.largest_hand_force
+            known = known.model_copy(update={"largest_hand_force": 1.5 * shown})
+        if known.hand_stiffness:
+            is_true = is_true and far <= known.hand_speed
+            known = known.model_copy(update={"hand_speed": 1.5 * far})
         if is_true:
             return group, found
-        group = replace(group, axes=tuple(axes))
+        group = replace(group, axes=tuple(axes), parameters=known)
     return None
 
 

@@ -6,10 +6,12 @@ Every scene reads these tables; the other modules of this package are loaded onl
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from canhaptic.registry import load, load_algorithm
+from canhaptic.errors import ParameterError
+from canhaptic.registry import load_algorithm
 
 if TYPE_CHECKING:
     from canhaptic.control.admittance.port import AdmittanceProperties
+    from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
     from canhaptic.control.mechanisms.kinematics import Kinematics
     from canhaptic.control.multi_axis.group_controller import GroupController
     from canhaptic.control.passivity import Controller
@@ -32,9 +34,10 @@ DISPLAY_ALGORITHMS: Final[dict[str, str]] = {
     "ultimately_passive": f"{_RIVALS}.ultimately_passive_admittance:UltimatelyPassiveAdmittance",
     "guarded": f"{_HERE}.guarded_admittance:GuardedAdmittance",
 }
-"""Algorithms of one display: name in a scene -> "module:Class".
+"""Algorithms of one display or several: name in a scene -> "module:Class".
 
-Every class has `parameters_type` and takes (environment, parameters, loop).
+Every class has `parameters_type`, gives the environment its form by `rendered`, and takes (environment, parameters,
+properties of each display).
 """
 
 
@@ -44,17 +47,6 @@ DISPLAY_NETWORKS: Final[dict[str, str]] = {
     "cup_and_ball": f"{_HERE}.group_environment:GroupCupAndBall",
 }
 """Environments that several displays render together, in the form of `DISPLAY_ENVIRONMENTS`."""
-
-DISPLAY_GROUP_ALGORITHMS: Final[dict[str, str]] = {
-    "unprotected": f"{_HERE}.admittance_group:UnprotectedAdmittanceGroup",
-    "passivity_observer": f"{_HERE}.admittance_group:ObservedAdmittanceGroup",
-    "energy_tank": f"{_RIVALS}.tank_admittance:TankAdmittanceGroup",
-    "guarded": f"{_HERE}.admittance_group:GuardedAdmittanceGroup",
-}
-"""Algorithms of several displays, in the form of `DISPLAY_ALGORITHMS`.
-
-A class takes (environment, parameters, properties of each display).
-"""
 
 
 def build_display_controller(
@@ -71,21 +63,22 @@ def build_display_controller(
     Raises:
         ParameterError: Unknown name, parameters of another algorithm, or a missing value that the algorithm needs.
     """
+    from canhaptic.control.admittance.admittance_controller import OneDisplay, OnOneAxis
+
     algorithm, chosen = load_algorithm(DISPLAY_ALGORITHMS, algorithm_name, "admittance algorithm", parameters)
-    controller: Controller = algorithm(environment, chosen, properties)
-    return controller
+    return OneDisplay(algorithm(OnOneAxis(algorithm.rendered(environment)), chosen, [properties]))
 
 
 def build_display_group(
-    environment: Any, algorithm_name: str, parameters: "Parameters", properties: "Sequence[AdmittanceProperties]",
-    kinematics: "Kinematics | None" = None,
+    environment: Any, algorithm_name: str, parameters: "Parameters | None",
+    properties: "Sequence[AdmittanceProperties]", kinematics: "Kinematics | None" = None,
 ) -> "GroupController":  # fmt: skip
     """Return the controller of several admittance displays with a common energy account, at rest.
 
     Args:
         environment: Environment to render, a class of `DISPLAY_NETWORKS`.
-        algorithm_name: A name of `DISPLAY_GROUP_ALGORITHMS`.
-        parameters: Instance of the algorithm's `parameters_type`.
+        algorithm_name: A name of `DISPLAY_ALGORITHMS`.
+        parameters: Instance of the algorithm's `parameters_type`; None for its defaults.
         properties: Declared properties of each axis.
         kinematics: Map between the axes and task space; None if the axes are the task coordinates.
 
@@ -96,12 +89,24 @@ def build_display_group(
     from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
     from canhaptic.control.mechanisms.kinematics import Identity
 
-    algorithm = load(DISPLAY_GROUP_ALGORITHMS, algorithm_name, "algorithm of several admittance displays")
+    kind = "algorithm of several admittance displays"
+    algorithm, chosen = load_algorithm(DISPLAY_ALGORITHMS, algorithm_name, kind, parameters)
+    environment = algorithm.rendered(environment)
     if kinematics is not None and not isinstance(kinematics, Identity):
         lag = 0.0
-        if isinstance(parameters, GuardedAdmittanceParameters):
-            lag = parameters.drive_mass / (parameters.loop_gain * (1.0 - parameters.spread))
+        if isinstance(chosen, GuardedAdmittanceParameters):
+            _refuse_impedance(chosen)
+            lag = chosen.drive_mass / (chosen.loop_gain * (1.0 - chosen.spread))
         ahead = (properties[0].delay + properties[0].latency) * properties[0].sample_time + lag
         environment = TaskEnvironment(environment, kinematics, ahead)
-    controller: GroupController = algorithm(environment, parameters, properties)
+    controller: GroupController = algorithm(environment, chosen, properties)
     return controller
+
+
+def _refuse_impedance(parameters: "GuardedAdmittanceParameters") -> None:
+    """Refuse a hand of declared impedance at a mechanism: on the motor axes it changes with the pose."""
+    if parameters.hand_stiffness:
+        raise ParameterError(
+            f"guarded: hand_stiffness: got {parameters.hand_stiffness:g}, expected 0 with kinematics: on the motor "
+            "axes the impedance of a hand changes with the pose, and the proof is for one that does not; leave it out"
+        )

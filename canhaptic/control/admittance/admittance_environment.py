@@ -1,4 +1,4 @@
-"""Environments of one admittance display, the axis that renders them, and the base class of its controllers.
+"""Environments of one admittance display, and the axis that renders them.
 
 An environment answers a force with a velocity; its walls limit the position. Commands change at SYNCs only. An
 environment with its own states follows the command that was sent, which limits and certificates may have reduced.
@@ -8,10 +8,6 @@ environment with its own states follows the command that was sent, which limits 
     m u' = F - b u - k (q - rest),   and no further than the walls
 
 The spring acts at the measured position; a wall limits the position and absorbs the remaining momentum (plastic).
-
-A controller has the interface of an impedance display (`canhaptic.control.passivity.stepped`): `torque_applied` is the
-force of the display on the hand, minus the reading of the sensor, and the `torque` of its balance is the commanded
-velocity [m/s or rad/s].
 """
 
 from math import inf
@@ -20,9 +16,7 @@ from typing import Annotated, ClassVar, Final, Literal, Self
 from pydantic import model_validator
 
 from canhaptic.control.admittance.port import AdmittanceProperties, Port
-from canhaptic.control.balance import AT_REST, EnergyBalance
 from canhaptic.control.environments import plain
-from canhaptic.control.passivity.stepped import SteppedController
 from canhaptic.kernels import Buffer
 from canhaptic.units import Parameters, quantity
 
@@ -206,55 +200,3 @@ class AdmittanceMass(AdmittanceEnvironment):
     def stretch(self, position: float) -> float:
         """Return the displacement of the spring [m or rad]; 0 without a spring."""
         return position - self.rest if self.stiffness else 0.0
-
-
-class AdmittanceController(SteppedController):
-    """Base class of admittance algorithms on one axis; a subclass implements `_account`."""
-
-    _environment: AdmittanceEnvironment
-    _display: AdmittanceAxis
-    wording: ClassVar[tuple[str, str, str, str]] = (
-        "applied force",
-        "velocity",
-        "encoder, force sensor and their scaling",
-        "mass and damping against the forces",
-    )
-
-    def __init__(
-        self, environment: AdmittanceEnvironment, parameters: Parameters, properties: AdmittanceProperties
-    ) -> None:
-        """Set up the controller at rest; `parameters` is an instance of `parameters_type`.
-
-        Raises:
-            ParameterError: A property that the algorithm needs is unknown.
-        """
-        self._environment, self._given = plain(environment), plain(parameters)
-        self._properties, self._time = properties, properties.sample_time
-        self.reset()
-
-    def reset(self) -> None:
-        """Clear the state: no energy, no queued command, no last position."""
-        self._display = self._begun()
-        self._axis, self._commands = self._display.port, self._display.commands
-        self._inner = [0.0] * self._environment.states
-        self._memory, self._last, self._advance = None, AT_REST, self._account
-
-    def _begun(self) -> AdmittanceAxis:
-        """Return the axis at rest."""
-        return AdmittanceAxis(self._environment, self._properties, self._properties.delay + 1)
-
-    def _account(self, position: float, torque_applied: float) -> EnergyBalance:
-        """Book the energy of the hold that ended and send the next command; see `Controller.step`.
-
-        `torque_applied` is minus the force of the sensor.
-        """
-        raise NotImplementedError
-
-    def fade(self, share: float) -> None:
-        """Limit the speed to a share of the largest one, from the next step on: a stop ends so."""
-        self._display.most = share * self._display.properties.speed_limit
-
-    @property
-    def energy_resolution(self) -> float:
-        """Width of the range that contains the energy received so far [J]; the account books its lower end."""
-        return 2.0 * self._display.port.doubt

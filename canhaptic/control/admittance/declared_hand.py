@@ -1,8 +1,9 @@
 """Largest certified commands of an admittance display for a hand of declared force or impedance.
 
 A certificate is a proof that a command gives out no more energy than the display may: D1 for `DeclaredHand`, D2 for
-`LargestForce`. `damping_border` (D3) is the stability limit without certificates. All certificates here are for a drive
-without an integral, whose torque must not reach its limit (`VelocityLoop.may_limit`). Proofs:
+`LargestForce`, D4 for several axes (`margins`). `damping_border` (D3) is the stability limit without certificates. All
+certificates here are for a drive without an integral, whose torque must not reach its limit
+(`VelocityLoop.may_limit`). Proofs:
 `docs/theory/commands_of_a_display.md`.
 """
 
@@ -72,7 +73,6 @@ _OF_COMMANDS, _OF_WAY = 0.3125, 2.5
 class HeardForce(NamedTuple):
     """A force reading, and the hold at whose end it was measured."""
 
-    energy: float  # E there, at least [J]
     moved: float  # in that hold [m or rad]
     command: float  # that acted in it [m/s or rad/s]
     force: float  # [N or N*m]
@@ -90,7 +90,6 @@ class DeclaredHand:
         properties: Properties of drive and sensor.
 
     Attributes:
-        known: Lower bound of the margin A, the energy received less M s^2 / 2 [J].
         holds: Number of holds from the SYNC of the last force to the one at which a new command acts.
     """
 
@@ -104,7 +103,7 @@ class DeclaredHand:
         self.moved = loop.mass * (1.0 - given.spread)  # least mass of the drive [kg or kg*m^2]
         self.uncertainty = loop.gain * given.spread  # largest of abs(c - M / l) [N*s/m or N*m*s/rad]
         self.speeds = [0.0] * (properties.latency + 1)  # g at the SYNCs whose forces have not come, a ring
-        self.known = self.speed = self.before = 0.0  # A, at least [J]; g now and at that SYNC [m/s or rad/s]
+        self.speed = self.before = 0.0  # g now and at that SYNC [m/s or rad/s]
         self.place = self.waiting = 0  # place of this SYNC in the ring; SYNCs since the last force
         self.slowest = self.fastest = 0.0  # range of v there [m/s or rad/s]
         self.up = self.down = -inf  # least F and -F where K is alone [N or N*m]
@@ -117,8 +116,13 @@ class DeclaredHand:
         self.speeds[self.place] = self.speed
         self.waiting += 1
 
-    def hear(self, heard: HeardForce) -> None:
-        """Update the bounds on the margin A and on the hand's force with a reading that belongs to an earlier SYNC."""
+    def hear(self, heard: HeardForce) -> tuple[float, float]:
+        """Update the bounds on the hand's force with a reading that belongs to an earlier SYNC.
+
+        Returns:
+            The most of M s^2 / 2 there, and the least change of the margin A since the reading before, -inf if unknown
+            [J].
+        """
         samples, begin, loop, port = self.waiting, self.before, self.loop, self.port
         self.waiting = 0
         self.before = self.speeds[self.place + 1 - len(self.speeds)]
@@ -126,17 +130,14 @@ class DeclaredHand:
         mean, off = heard.moved / length, 0.5 * port.handle_acceleration * length + port.encoder_count / length
         self.slowest, self.fastest = mean - off, mean + off
         slip = max(self.fastest - self.before, self.before - self.slowest)
-        least = heard.energy - 0.5 * loop.mass * slip * slip
+        stored = 0.5 * loop.mass * slip * slip
         if samples > 1:  # the force in between is unknown
-            self.known = least
             self.up = self.down = self.up_with_mass = self.down_with_mass = -inf
-            return
-        if not heard.at_limit:
-            least = max(least, self.known + self._gained(heard, begin))
-        self.known = least
+            return stored, -inf
         error = port.force_error + port.lag * port.force_slew
         self.up, self.up_with_mass = self._forces(heard, 1.0, error)
         self.down, self.down_with_mass = self._forces(heard, -1.0, error)
+        return stored, -inf if heard.at_limit else self._gained(heard, begin)
 
     def _gained(self, heard: HeardForce, begin: float) -> float:
         """Return the least change of the margin A in a hold, by D1 [J]; -inf with a filter. Half of c s^2 covers D."""
@@ -232,13 +233,13 @@ class DeclaredHand:
             largest = heavy if heavy > largest else largest
         return fixed + largest
 
-    def fastest_speed(self, commands: Commands, request: float, allowance: float) -> float:
-        """Return the largest certified speed in the direction of the request, unsigned [m/s or rad/s].
+    def fastest_speed(self, commands: Commands, request: float, budget: float) -> float:
+        """Return the largest speed in the direction of the request within a budget [J], unsigned [m/s or rad/s].
 
         The loss is convex, so that the chord between a certified speed and one that is not certified meets the budget
         at a certified speed.
         """
-        budget, newest = self.known + allowance, commands.newest
+        newest = commands.newest
         if self.waiting > 0 or self.up == -inf:
             return 0.0
         fits, low = 0.0, self.loss(commands, newest, 0.0)

@@ -10,12 +10,16 @@ than was stored: the mass stops, and the shortfall is a deficit. A perfect drive
 bounds the energy created by sampling, but not the energy created by the drive.
 """
 
+from functools import cached_property
 from math import sqrt
+from typing import Any, ClassVar
 
 from canhaptic.control.admittance.admittance_environment import AdmittanceMass
-from canhaptic.control.admittance.port import AdmittanceProperties
-from canhaptic.control.admittance.unprotected_admittance import NothingToChoose, SampledHold, UnprotectedAdmittance
+from canhaptic.control.admittance.group_environment import GroupMass, PathMass
+from canhaptic.control.admittance.unprotected_admittance import UnprotectedAdmittance
+from canhaptic.control.environments import plain
 from canhaptic.errors import ParameterError
+from canhaptic.kernels import Buffer
 
 
 def next_speed(environment: AdmittanceMass, time: float, speed: float, impulse: float, risen: float) -> float:
@@ -37,30 +41,52 @@ def next_speed(environment: AdmittanceMass, time: float, speed: float, impulse: 
     return found if found * speed > 0.0 else 0.0
 
 
+class BalancedMass(AdmittanceMass):
+    """A virtual mass whose next speed solves the balance."""
+
+    states: ClassVar[int] = 1  # potential at the last SYNC [J]
+
+    def speed_after(self, inner: Buffer, speed: float, force: float, position: float, time: float) -> float:
+        """Return the speed after another hold by the balance [m/s or rad/s]."""
+        impulse, potential = force * time, self.potential(position)
+        risen, inner[0] = potential - inner[0], potential
+        if speed == 0.0:
+            return (impulse + time * self.pull(position)) / self.mass
+        return next_speed(self, time, speed, impulse, risen)
+
+
+class BalancedMasses(GroupMass):
+    """The same mass on every axis, with the balance solved on each; the balances add up."""
+
+    states: ClassVar[int] = 1
+
+    @cached_property
+    def _alone(self) -> BalancedMass:
+        return plain(BalancedMass(mass=self.mass, damping=self.damping, stiffness=self.stiffness))
+
+    def speeds_after(
+        self, inner: list[Buffer], speeds: list[float], forces: list[float], positions: list[float], time: float
+    ) -> list[float]:
+        """Return the speeds after another hold by the balance [m/s or rad/s]."""
+        each = zip(inner, speeds, forces, self._stretches(positions), strict=True)
+        return [self._alone.speed_after(*of, time) for of in each]
+
+
 class DissipatingAdmittance(UnprotectedAdmittance):
     """The paper's energy balance with force in and velocity out."""
 
-    _environment: AdmittanceMass
+    @staticmethod
+    def rendered(environment: Any) -> Any:
+        """Return the environment with its next speed by the balance.
 
-    def __init__(
-        self, environment: AdmittanceMass, parameters: NothingToChoose, properties: AdmittanceProperties
-    ) -> None:
-        if not isinstance(environment, AdmittanceMass):
-            raise ParameterError(
-                f"internal_dissipation: got {type(environment).__name__}, expected environment: virtual_mass; "
-                "the balance is solved for a virtual mass only; use the algorithm `guarded`"
-            )
-        super().__init__(environment, parameters, properties)
-
-    def first_energy(self, position: float) -> float:
-        """Return the potential at the first position [J]."""
-        return self._environment.potential(position)
-
-    def respond(self, hold: SampledHold) -> tuple[float, float, float]:
-        """Solve the energy balance for the next speed."""
-        environment, time, position = self._environment, self._time, self._axis.position
-        impulse, potential = hold.force * time, environment.potential(position)
-        risen, self._energy = potential - self._energy, potential
-        if hold.before == 0.0:
-            return (impulse + time * environment.pull(position)) / environment.mass, 0.0, 0.0
-        return next_speed(environment, time, hold.before, impulse, risen), 0.0, 0.0
+        Raises:
+            ParameterError: It is no virtual mass.
+        """
+        if isinstance(environment, AdmittanceMass):
+            return BalancedMass(**dict(environment))
+        if isinstance(environment, GroupMass) and not isinstance(environment, PathMass):
+            return BalancedMasses(**dict(environment))
+        raise ParameterError(
+            f"internal_dissipation: got {type(environment).__name__}, expected environment: virtual_mass; "
+            "the balance is solved for a virtual mass only; use the algorithm `guarded`"
+        )

@@ -98,6 +98,10 @@ class GroupEnvironment(Parameters):
         """Return the energy that the damper dissipates in a time [J]."""
         return self.damping * dot(speeds, speeds) * time
 
+    def stretch(self, positions: _Vector) -> float:
+        """Return 0: a log has the displacement of a spring on one axis only [m or rad]."""
+        return 0.0
+
 
 class GroupMass(GroupEnvironment):
     """`virtual_mass`: the same mass, damper and spring on every axis, and a wall at each end of each axis."""
@@ -323,6 +327,10 @@ class TaskEnvironment:
     def lost(self, speeds: _Vector, time: float) -> float:
         """Return the energy that the damper dissipates in a time [J]."""
         return self._environment.lost(_times(self._jacobian, speeds), time)
+
+    def stretch(self, positions: _Vector) -> float:
+        """Return 0, as `GroupEnvironment` does [m or rad]."""
+        return 0.0
 
 
 def _times(rows: _Rows, vector: _Vector) -> _Vector:

@@ -1,97 +1,85 @@
-"""`unprotected` of an admittance display: the virtual mass without protection, and the base of other algorithms.
+"""`unprotected` of admittance displays: the environment without protection, and the base of other algorithms.
 
-The other algorithms without a certificate override `respond`. Energy created by sampling, the drive and the uncertainty
-of the account is booked as `gen`, energy lost by them as `leak`, so that the account is balanced.
+The other algorithms without a certificate override `_observe` and `_protected`. Energy created by sampling, drives and
+the uncertainty of the account is booked as `gen`, energy lost by them as `leak`, so that the account is balanced.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
-from canhaptic.control.admittance.admittance_environment import AdmittanceController
-from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
-from canhaptic.kernels import new
+from canhaptic.control.admittance.admittance_controller import AdmittanceController, Vector
+from canhaptic.control.admittance.admittance_environment import AdmittanceAxis, AdmittanceEnvironment
+from canhaptic.control.admittance.port import AdmittanceProperties
+from canhaptic.control.balance import Certificate
+from canhaptic.control.multi_axis.group_controller import GroupBalance
 from canhaptic.units import Parameters
 
-_EXACT, _FREE, _NONE = Branch.EXACT.value, Branch.FREE.value, Certificate.NONE.value
+_NONE = Certificate.NONE.value
 
 
 class NothingToChoose(Parameters):
     """Parameter model of the admittance algorithms that have no parameters."""
 
 
-class SampledHold(NamedTuple):
-    """The hold that ended, and the next state of the mass."""
-
-    energy: float  # that came in, at least [J]
-    elapsed: float  # [s]
-    velocity: float  # [m/s or rad/s]
-    before: float  # the last command [m/s or rad/s]
-    request: float  # speed of the mass after another hold [m/s or rad/s]
-    force: float  # of the hand at its end [N or N*m]
-
-
-class UnprotectedAdmittance(AdmittanceController):
-    """Controller that renders a virtual mass and does nothing to stay passive."""
+class UnprotectedAdmittance(AdmittanceController[AdmittanceAxis]):
+    """Controller that renders an environment and does nothing to stay passive."""
 
     parameters_type: ClassVar[type[Parameters]] = NothingToChoose
 
+    def _begun(self, environment: AdmittanceEnvironment, properties: AdmittanceProperties) -> AdmittanceAxis:
+        return AdmittanceAxis(environment, properties, properties.delay + 1)
+
     def reset(self) -> None:
-        """Clear the state; see `Controller.reset`."""
+        """Return to the initial state; see `GroupController`."""
         super().reset()
-        self._h_s = self._slip = 0.0
-        self._energy = 0.0  # of the algorithm's own: observed, in the tank, or still to be dissipated [J]
+        self._slips = [0.0] * self.axes
+        self._energy = self._begin()  # of the algorithm's own: observed, in the tank, or still to be dissipated [J]
         self._created = 0.0  # by sampling in the last hold; below 0 it was lost [J]
 
-    def first_energy(self, position: float) -> float:
-        """Return the initial value of the algorithm's own energy variable, at the first position [J]."""
+    def _begin(self) -> float:
+        """Return the initial energy of a subclass's observer or tank [J]."""
         return 0.0
 
-    def respond(self, hold: SampledHold) -> tuple[float, float, float]:
-        """Return speed and added speed of the next command, and the energy that the last added speed dissipated.
+    def _own(self) -> Vector:
+        return [axis.commands.speed - slip for axis, slip in zip(self._each, self._slips, strict=True)]
 
-        Returns:
-            Speed of the mass [m/s or rad/s], additional speed that dissipates energy [m/s or rad/s], and the energy
-            that this additional speed dissipated in the hold that ended [J].
-        """
-        return hold.request, 0.0, 0.0
+    def _miss(self) -> None:
+        before, self._slips = self._own(), [0.0] * self.axes
+        for axis in self._each:
+            axis.port.missed += 1
+            axis.commands.send(0.0)
+        self._environment.go_along(self._inner, before, self._own(), self._time)
 
-    def _account(self, position: float, torque_applied: float) -> EnergyBalance:
-        display, commands, force, inner = self._display, self._commands, -torque_applied, self._inner
-        environment, time = self._environment, self._time
-        if not display.port.started:
-            display.begin(position, force)
-            self._energy = self.first_energy(position)
-            return AT_REST
-        booked = display.port.book(position, force)
-        before, elapsed, velocity = commands.speed - self._slip, booked.elapsed, booked.moved / booked.elapsed
-        request = environment.speed_after(inner, before, force, position, time)
-        hold = new(SampledHold, (booked.energy, elapsed, velocity, before, request, force))
-        request, slip, h_pas = self.respond(hold)
-        speed = display.limited(request + slip, position, velocity)
-        commands.send(display.whole(speed))
-        self._slip = slip if abs(speed - request - slip) < abs(slip) else 0.0
-        own = commands.speed - self._slip
-        environment.go_along(inner, before, own, time)
-        h_s, h_r = environment.stored(inner, own, position), environment.damping * before * before * elapsed
-        rest = self._h_s + hold.energy - h_pas - h_r - h_s
+    def _answer(self, positions: Vector, forces: Vector) -> GroupBalance:
+        environment, each = self._environment, self._each
+        holds = [axis.port.book(*seen) for axis, *seen in zip(each, positions, forces, strict=True)]
+        before, elapsed = self._own(), holds[0].elapsed
+        h_pas = sum([force * slip for force, slip in zip(forces, self._slips, strict=True)]) * elapsed
+        sent = sum([force * axis.commands.speed for force, axis in zip(forces, each, strict=True)]) * elapsed
+        self._observe(sent, h_pas)
+        request = environment.speeds_after(self._inner, before, forces, positions, self._time)
+        request, slips = self._protected(request, forces)
+        self._slips = []
+        for axis, hold, position, speed, slip in zip(each, holds, positions, request, slips, strict=True):
+            limited = axis.limited(speed + slip, position, hold.moved / elapsed)
+            axis.commands.send(axis.whole(limited))
+            self._slips.append(slip if abs(limited - speed - slip) < abs(slip) else 0.0)
+        own, interactions = self._own(), tuple([hold.energy for hold in holds])
+        environment.go_along(self._inner, before, own, self._time)
+        h_i, h_s = sum(interactions), environment.stored(self._inner, own, positions)
+        h_r = environment.lost(before, elapsed)
+        rest = self._h_s + h_i - h_pas - h_r - h_s
         self._h_s, self._created = h_s, -rest
-        branch = _EXACT if commands.speed != 0.0 or before != 0.0 else _FREE
-        return new(EnergyBalance, (
-            commands.speed, hold.energy, h_pas, hold.energy - h_pas, h_r, h_s, 0.0, max(0.0, -rest), 0.0,
-            max(0.0, rest), 0.0, branch, environment.damping, _NONE, environment.stretch(position), 0.0,
-        ))  # fmt: skip
+        energies = h_i, h_pas, h_i - h_pas, h_r, h_s, 0.0, max(0.0, -rest), 0.0, max(0.0, rest), 0.0
+        return self._closed(energies, interactions, before, positions, _NONE)
 
-    def lasted(self, periods: float) -> None:
-        """Treat skipped SYNCs as lost samples, during which the last command continued to act."""
-        if self._axis.started:
-            skipped, own = round(periods) - 1, self._commands.speed - self._slip
-            self._axis.missed += skipped
-            for _ in range(skipped):
-                self._environment.go_along(self._inner, own, own, self._time)
+    def _observe(self, energy: float, dissipated: float) -> None:
+        """Update the algorithm's own energy for the hold that ended.
 
-    def _command_unseen(self) -> float:
-        """Send and return the command of a SYNC without a sample: 0."""
-        before, self._slip = self._commands.speed - self._slip, 0.0
-        self._commands.send(0.0)
-        self._environment.go_along(self._inner, before, 0.0, self._time)
-        self._axis.missed += 1
-        return 0.0
+        Args:
+            energy: Forces times commanded velocities [J].
+            dissipated: The part of the added speeds [J].
+        """
+
+    def _protected(self, request: Vector, forces: Vector) -> tuple[Vector, Vector]:
+        """Return the requested speeds, limited by the algorithm, and added speeds that dissipate [m/s or rad/s]."""
+        return request, [0.0] * self.axes

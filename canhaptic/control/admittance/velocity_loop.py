@@ -278,8 +278,8 @@ class GuardedAdmittanceParameters(Parameters):
     """Largest number of consecutive cycles without a new command at the drive that the certificate covers; only for a
     drive without an integral."""
     largest_hand_force: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] = 0.0
-    """Upper bound of the force of the hand. It permits lighter masses, but the promise then holds for such hands only.
-    Not with an integral. 0: not declared."""
+    """Upper bound of the force of the hand, in a group on each motor axis. It permits lighter masses, but the promise
+    then holds for such hands only. Not with an integral. 0: not declared."""
     drive_friction: Annotated[float, quantity("N", "N*m", ge=0.0, le=1e6)] | None = None
     """Upper bound of the dry friction of the drive. Force and motion are then compared, and the rig stops if they
     disagree. None: they are not compared. Required with hand_stiffness; 0 for a drive without dry friction."""

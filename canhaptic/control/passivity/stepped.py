@@ -12,7 +12,7 @@ from functools import partial
 from math import inf, isfinite
 from typing import Any, ClassVar, Final, NamedTuple
 
-from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
+from canhaptic.control.balance import AT_REST, Certificate, EnergyBalance, held
 from canhaptic.control.damping import DamperVelocity, VelocityWindow, restart, update
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.errors import ControlError, ParameterError
@@ -108,9 +108,6 @@ def settle(
     return h_s, surplus, h_r, deficit, leak, paid
 
 
-_HELD = Branch.HELD.value
-
-
 class SteppedController:
     """Controller that runs a kernel with the state of one axis, and refuses values that are not finite."""
 
@@ -159,19 +156,7 @@ class SteppedController:
     def sample_lost(self) -> EnergyBalance:
         """Return the balance of a SYNC whose position was lost; see `Controller.sample_lost`."""
         command = self._command_unseen() if self._axis.started else self._last.torque
-        return self._last._replace(
-            torque=command,
-            branch=_HELD,
-            h_i=0.0,
-            h_pas=0.0,
-            h_m=0.0,
-            h_r=0.0,
-            gen=0.0,
-            deficit=0.0,
-            leak=0.0,
-            paid=0.0,
-            supplied=0.0,
-        )
+        return held(self._last, command)
 
     def _command_unseen(self) -> float:
         """Count a lost sample, and return the command of its SYNC: the last command again."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.audit.why.ripple import variation
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.balance import Branch, EnergyBalance, residual
 from canhaptic.control.environments import Environment
 from canhaptic.control.ledger import Ledger, LedgerSummary
@@ -371,7 +371,7 @@ _TABLES: Final[Mapping[tuple[type, bool], tuple[Mapping[str, str], str]]] = {
     (AxisScene, False): (ALGORITHMS, "passivity algorithm"),
     (GroupScene, False): (GROUP_ALGORITHMS, "group algorithm"),
     (AxisScene, True): (DISPLAY_ALGORITHMS, "admittance algorithm"),
-    (GroupScene, True): (DISPLAY_GROUP_ALGORITHMS, "algorithm of several admittance displays"),
+    (GroupScene, True): (DISPLAY_ALGORITHMS, "algorithm of several admittance displays"),
 }
 """Kind of part, and whether it is a display -> its algorithms, and their kind in messages."""
 

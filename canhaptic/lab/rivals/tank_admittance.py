@@ -7,8 +7,8 @@ ideal drive. Franken et al., IEEE Trans. Robotics 27, 2011; Schindlbeck and Hadd
 
 from typing import Annotated, ClassVar
 
-from canhaptic.control.admittance.admittance_group import UnprotectedAdmittanceGroup
-from canhaptic.control.admittance.unprotected_admittance import SampledHold, UnprotectedAdmittance
+from canhaptic.control.admittance.admittance_controller import Vector
+from canhaptic.control.admittance.unprotected_admittance import UnprotectedAdmittance
 from canhaptic.units import Parameters, quantity
 
 
@@ -22,37 +22,17 @@ class TankAdmittanceParameters(Parameters):
 
 
 class TankAdmittance(UnprotectedAdmittance):
-    """A virtual mass whose commands are limited by the energy in its tank."""
-
-    parameters_type = TankAdmittanceParameters
-    _given: TankAdmittanceParameters
-
-    def first_energy(self, position: float) -> float:
-        """Return the energy in the tank at the start [J]."""
-        return self._given.initial
-
-    def respond(self, hold: SampledHold) -> tuple[float, float, float]:
-        """Update the tank and scale down a next speed that would take more energy than the tank holds."""
-        request = hold.request
-        self._energy = min(self._given.capacity, self._energy + hold.force * hold.before * hold.elapsed)
-        taken = -hold.force * request * self._time
-        if taken > 0.0 and taken > self._energy:
-            request *= max(0.0, self._energy) / taken
-        return request, 0.0, 0.0
-
-
-class TankAdmittanceGroup(UnprotectedAdmittanceGroup):
-    """A virtual mass on several axes with one tank: a command that would overdraw it is scaled equally on all axes."""
+    """A virtual mass with one tank for all axes: a command that would overdraw it is scaled down on all of them."""
 
     parameters_type: ClassVar[type[Parameters]] = TankAdmittanceParameters
 
     def _begin(self) -> float:
-        return float(self._parameters.initial)
+        return float(self._given.initial)
 
-    def _observe(self, energy: float) -> None:
-        self._energy = min(self._parameters.capacity, self._energy + energy)
+    def _observe(self, energy: float, dissipated: float) -> None:
+        self._energy = min(self._given.capacity, self._energy + energy)
 
-    def _protected(self, request: list[float], forces: list[float]) -> tuple[list[float], list[float]]:
+    def _protected(self, request: Vector, forces: Vector) -> tuple[Vector, Vector]:
         taken = -sum(force * speed for force, speed in zip(forces, request, strict=True)) * self._time
         if taken > 0.0 and taken > self._energy:
             request = [speed * max(0.0, self._energy) / taken for speed in request]

@@ -7,7 +7,8 @@ slip against the stiffest declared hand (C K T <= 0.5).
 
 from typing import Annotated
 
-from canhaptic.control.admittance.unprotected_admittance import SampledHold, UnprotectedAdmittance
+from canhaptic.control.admittance.admittance_controller import Vector
+from canhaptic.control.admittance.unprotected_admittance import UnprotectedAdmittance
 from canhaptic.units import Parameters, quantity
 
 
@@ -21,14 +22,14 @@ class UltimatelyPassiveAdmittanceParameters(Parameters):
 
 
 class UltimatelyPassiveAdmittance(UnprotectedAdmittance):
-    """Controller of a virtual mass that dissipates generated energy gradually."""
+    """Controller of a virtual mass that dissipates generated energy gradually, from one sum for all axes."""
 
     parameters_type = UltimatelyPassiveAdmittanceParameters
     _given: UltimatelyPassiveAdmittanceParameters
 
-    def respond(self, hold: SampledHold) -> tuple[float, float, float]:
-        """Return the next speed with a slip along the force that dissipates part of the generated energy."""
-        h_pas = hold.force * self._slip * hold.elapsed
-        self._energy = max(0.0, max(0.0, self._energy + self._created) - h_pas)
-        most = 0.5 / (self._given.hand_stiffness * self._time)
-        return hold.request, min(self._given.alpha * self._energy, most) * hold.force, h_pas
+    def _observe(self, energy: float, dissipated: float) -> None:
+        self._energy = max(0.0, max(0.0, self._energy + self._created) - dissipated)
+
+    def _protected(self, request: Vector, forces: Vector) -> tuple[Vector, Vector]:
+        part = min(self._given.alpha * self._energy, 0.5 / (self._given.hand_stiffness * self._time))
+        return request, [part * force for force in forces]

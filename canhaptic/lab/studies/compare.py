@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.verdict import passive_verdict
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
@@ -66,8 +66,7 @@ def compared_algorithms(scene: Scene, algorithms: Sequence[str] | None) -> list[
         ParameterError: A name is unknown.
     """
     if axis_loop.is_display(scene):
-        every = DISPLAY_GROUP_ALGORITHMS if all(axis.group for axis in scene.axes) else DISPLAY_ALGORITHMS
-        return axis_loop.chosen_algorithms(algorithms or list(every), displays=True)
+        return axis_loop.chosen_algorithms(algorithms or list(DISPLAY_ALGORITHMS), displays=True)
     if scene.groups:
         return axis_loop.chosen_algorithms(algorithms, GroupScene)
     own = dict.fromkeys(axis.passivity.name for axis in scene.axes if axis.passivity.own is not None)

@@ -2,10 +2,13 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from canhaptic.control.admittance.declared_hand import DeclaredHand, HeardForce
+from canhaptic.control.admittance.margins import ByDeclaredHand
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
 from canhaptic.errors import ParameterError
@@ -143,8 +146,8 @@ def test_what_contradicts_the_proof_is_refused(declared: dict[str, float | None]
         loop_settings(known, properties.model_copy(update={"jitter": jitter}))
 
 
-def heard(energy: float, moved: float, force: float) -> HeardForce:
-    return HeardForce(energy, moved, 0.02, force, 0.0, at_limit=False)
+def heard(moved: float, force: float) -> HeardForce:
+    return HeardForce(moved, 0.02, force, 0.0, at_limit=False)
 
 
 def test_the_least_force_of_a_hand_is_less_by_the_error_of_the_sensor_in_either_direction() -> None:
@@ -155,7 +158,7 @@ def test_the_least_force_of_a_hand_is_less_by_the_error_of_the_sensor_in_either_
         hand = DeclaredHand(known, loop_settings(known, given), given)
         for _ in range(3):
             hand.go_on(0.02)
-            hand.hear(heard(0.5, 2e-5, 4.0))
+            hand.hear(heard(2e-5, 4.0))
         assert hand.up <= 4.0 - error
         assert hand.down <= -4.0 - error
         found.append((hand.up, hand.down))
@@ -168,9 +171,10 @@ def test_behind_a_filter_a_hold_proves_no_gain_of_the_margin() -> None:
     margins = []
     for filtered in (0.0, 100.0):
         given = properties.model_copy(update={"filter": filtered, "force_error": 0.0})
-        hand = DeclaredHand(known, loop_settings(known, given), given)
+        axis: Any = SimpleNamespace(declared=DeclaredHand(known, loop_settings(known, given), given))
+        margin = ByDeclaredHand([axis])
         for k in range(5):
-            hand.go_on(0.02)
-            hand.hear(heard(1e-3 * (k < 1), 2e-5, 4.0))
-        margins.append(hand.known)
+            axis.declared.go_on(0.02)
+            margin.hear(1e-3 * (k < 1), [heard(2e-5, 4.0)])
+        margins.append(margin.known)
     assert margins[0] > 0.0 > margins[1]

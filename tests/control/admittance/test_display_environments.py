@@ -119,8 +119,8 @@ def _pushed(environment: AdmittanceEnvironment, algorithm: str, holds: int) -> t
 def test_the_ball_swings_on_where_samples_are_lost(algorithm: str) -> None:
     environment = CupAndBall()
     controller, _ = _pushed(environment, algorithm, 200)
-    inner = controller._inner
-    expected, before = [*inner], controller._commands.speed
+    inner = controller.of._inner[0]
+    expected, before = [*inner], controller.of._each[0].commands.speed
     for _ in range(30):
         speed = controller.sample_lost().torque
         environment.go_along(expected, before, speed, 1e-3)
@@ -133,7 +133,7 @@ def test_the_ball_swings_on_where_samples_are_lost(algorithm: str) -> None:
 def test_after_a_lost_sample_the_speed_rises_from_the_zero_that_was_sent(algorithm: str) -> None:
     """0.02 m/s in a hold is the limit of the acceleration, and 30 N a hard push."""
     controller, position = _pushed(AdmittanceMass(mass=0.5), algorithm, 60)
-    assert controller._commands.speed > 0.3
+    assert controller.of._each[0].commands.speed > 0.3
     assert controller.sample_lost().torque == 0.0
     assert 0.0 < controller.step(position, -30.0).torque <= 0.02 + 1e-12
 

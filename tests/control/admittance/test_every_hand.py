@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canhaptic.control.admittance import build_display_controller
+from canhaptic.control.admittance import build_display_controller, build_display_group
 from canhaptic.control.admittance.admittance_environment import AdmittanceMass
+from canhaptic.control.admittance.group_environment import GroupMass
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
+from canhaptic.control.balance import Certificate
 from canhaptic.errors import ControlError, ParameterError
 from tests.adversary import display as attack
 
@@ -41,7 +43,7 @@ class _Rig:
     def gain(self) -> float:
         return 2.0 * math.pi * self.bandwidth * self.mass
 
-    def controller(self, **declared: float) -> Any:
+    def known(self, **declared: float) -> tuple[GuardedAdmittanceParameters, AdmittanceProperties]:
         properties = AdmittanceProperties(
             sample_time=self.time, delay=self.delay, sampling="mean", latency=self.latency, force_slew=self.slew,
             handle_acceleration=self.acceleration, encoder_count=self.count, speed_limit=3.0, acceleration_limit=1000.0,
@@ -54,8 +56,15 @@ class _Rig:
         parameters = GuardedAdmittanceParameters(
             spread=0.0, energy_allowance=self.allowance, max_consecutive_losses=self.losses, **known
         )
+        return parameters, properties
+
+    def controller(self, **declared: float) -> Any:
         environment = AdmittanceMass(mass=self.virtual_mass, damping=self.damping)
-        return build_display_controller(environment, "guarded", parameters, properties)
+        return build_display_controller(environment, "guarded", *self.known(**declared))
+
+    def controller_of_two(self, **declared: float) -> Any:
+        parameters, properties = self.known(**declared)
+        return build_display_group(GroupMass(mass=self.virtual_mass), "guarded", parameters, [properties] * 2)
 
     def drive(self) -> attack.AttackedDrive:
         return attack.AttackedDrive(self.mass, self.gain, self.gain * self.corner, self.time, 10)
@@ -255,13 +264,39 @@ def test_a_hand_stronger_than_declared_takes_more_than_it_gave() -> None:
     assert _taken_by_braking(_WEAK_HAND, largest_hand_force=4.0) < -1e-4
 
 
+def _taken_by_two(rig: _Rig, **declared: float) -> tuple[float, set[int]]:
+    """Returns the least sum of energies [J] where two hands push with all their force, then brake; and certificates."""
+    controller, drives = rig.controller_of_two(**declared), [rig.drive(), rig.drive()]
+    queue, least, found = [(0.0, 0.0)] * (rig.delay + 1), 0.0, set[int]()
+    for hold in range(160):
+        before = [drive.impulse for drive in drives]
+        for place, (drive, command) in enumerate(zip(drives, queue.pop(0), strict=True)):
+            force = rig.hand_force * (1.0 - 0.5 * place) * (1.0 if hold < 40 else -1.0 if drive.state[1] > 0.0 else 0.0)
+            drive.hold(command, _steady(lambda _drive, _command, force=force: force, drive.substeps))  # type: ignore[misc]
+        forces = [(was - drive.impulse) / rig.time for drive, was in zip(drives, before, strict=True)]
+        places = [float(drive.state[0]) for drive in drives]
+        balance = controller.step(places, forces) if hold < 40 else controller.sample_lost()
+        queue.append(balance.torques)
+        found.add(balance.account.certificate)
+        least = min(least, sum(drive.energy for drive in drives))
+    return least, found
+
+
+def test_two_hands_of_bounded_force_get_no_more_together_than_they_gave() -> None:
+    """D4: the sum over the axes. A force on one axis that is larger than declared takes energy."""
+    least, found = _taken_by_two(_WEAK_HAND)
+    assert least >= -1e-9
+    assert Certificate.LARGEST_HAND_FORCE.value in found
+    assert _taken_by_two(_WEAK_HAND, largest_hand_force=4.0)[0] < -1e-4
+
+
 def test_a_torque_limit_in_reach_leaves_the_loop_as_the_only_certificate() -> None:
     rig = replace(_WEAK_HAND, torque_limit=20.0)
     loop = _Loop(rig, rig.controller(), np.random.default_rng(1))
     for _ in range(60):
         loop.sync(_steady(lambda _drive, _command: 10.0, loop.drive.substeps))
     assert loop.cut > 0
-    assert loop.controller._margin.known >= 0.0
+    assert loop.controller.of._loop.known >= 0.0
 
 
 def _out_and_back(rig: _Rig, holds: int) -> tuple[Any, float]:
@@ -281,7 +316,7 @@ def test_a_torque_limit_may_be_reached_where_no_sample_shows_it(limit: float) ->
     rig = _Rig(corner=20.0, acceleration=60.0, torque_limit=limit, bandwidth=50.0, delay=0)
     controller, speed = _out_and_back(rig, 8)
     assert (rig.gain * speed > limit) is (limit < 1e3)
-    balance = controller.step(controller._axis.position, 0.0)
+    balance = controller.step(controller.of._each[0].port.position, 0.0)
     assert (balance.certificate == 4) is (limit < 1e3)
 
 
@@ -292,7 +327,7 @@ def test_at_the_torque_limit_nothing_rests_on_the_hand_until_the_command_has_act
         _WEAK_HAND, latency=3, torque_limit=105.0, virtual_mass=1e3, losses=losses, acceleration=50.0 / (2.5 + losses)
     )
     loop = _Loop(rig, rig.controller(), np.random.default_rng(1))
-    made, hand = loop.controller, loop.controller._hand
+    made, hand = loop.controller.of, loop.controller.of._force
     lost, waited = [], []
     for force in (0.0, 0.0, 0.0, 150.0, *[0.0] * 8):  # moves fastest in the hold after: 52 N of the gain, 63 unseen
         waited.append(made._limited)
@@ -307,7 +342,7 @@ def _known_of_declared(torque_limit: float) -> float:
     loop = _Loop(rig, rig.controller(hand_stiffness=100.0, drive_friction=0.0), np.random.default_rng(1))
     for _ in range(20):
         loop.sync(_steady(lambda _drive, _command: 5.0, loop.drive.substeps))
-    return float(loop.controller._declared.known)
+    return float(loop.controller.of._declared.known)
 
 
 def test_at_the_torque_limit_the_motion_proves_nothing_of_a_declared_hand() -> None:
@@ -336,8 +371,8 @@ def test_where_syncs_are_skipped_the_margin_stays_below_the_true_one(delay: int,
     loop.controller.lasted(8.0)
     loop.controller.step(float(loop.drive.state[0]), 0.0)
     true = loop.drive.energy - loop.drive.reserve
-    assert true - 0.5 < loop.controller._margin.known <= true + 1e-9
-    assert loop.controller._axis.missed == 0
+    assert true - 0.5 < loop.controller.of._loop.known <= true + 1e-9
+    assert loop.controller.of._each[0].port.missed == 0
 
 
 def _least_room(rig: _Rig, seed: int, **declared: float) -> tuple[float, float]:
@@ -351,7 +386,7 @@ def _least_room(rig: _Rig, seed: int, **declared: float) -> tuple[float, float]:
         if loop.fastest > rig.acceleration:
             break
         speed = float(loop.drive.state[1])
-        commands = sum(loop.controller._commands.sent(age) ** 2 for age in range(rig.delay + 1))
+        commands = sum(loop.controller.of._each[0].commands.sent(age) ** 2 for age in range(rig.delay + 1))
         needed = 0.5 * rig.mass * speed**2 + 0.25 * rig.gain * rig.time * commands
         least, carried = min(least, loop.drive.energy + rig.allowance - needed), max(carried, needed)
     return least, carried

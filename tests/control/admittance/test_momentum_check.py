@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canhaptic.control.admittance.guarded_admittance import Disagreement, MomentumCheck, MovedHold, momentum_check
+from canhaptic.control.admittance.momentum_check import Disagreement, MomentumCheck, MovedHold, momentum_check
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters, loop_settings
 from canhaptic.errors import ForceContradictedError

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canhaptic.control.admittance.unprotected_admittance import SampledHold
 from canhaptic.control.balance import Certificate
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import LITERATURE, LoopProperties, build_controller
@@ -29,7 +28,7 @@ from canhaptic.lab.rivals import (
     ultimate_passivity,
     windowed_observer,
 )
-from canhaptic.lab.rivals.tank_admittance import TankAdmittance, TankAdmittanceGroup, TankAdmittanceParameters
+from canhaptic.lab.rivals.tank_admittance import TankAdmittance, TankAdmittanceParameters
 from canhaptic.registry import load
 from tests.lab.batch.loops import scalar_case
 
@@ -270,18 +269,17 @@ def test_a_storage_from_which_the_damper_took_everything_is_at_rest():
 
 @pytest.mark.parametrize(("energy", "speed"), [(0.0, 0.0), (1e-3, 0.125), (5e-3, 0.5)])
 def test_the_tank_of_a_display_scales_down_a_speed_that_would_overdraw_it(energy, speed):
-    tank: Any = SimpleNamespace(_given=SimpleNamespace(capacity=1.0), _energy=energy, _time=1e-3)
-    hold = SampledHold(0.0, 1e-3, 0.0, 0.0, 0.5, -8.0)  # the next hold would give out 4 mJ
-    assert TankAdmittance.respond(tank, hold) == pytest.approx((speed, 0.0, 0.0))
+    tank: Any = SimpleNamespace(_energy=energy, _time=1e-3, axes=1)
+    assert TankAdmittance._protected(tank, [0.5], [-8.0])[0] == pytest.approx([speed])  # the next hold gives out 4 mJ
 
 
 def test_the_tank_of_several_axes_pays_for_all_of_them_together():
     assert TankAdmittanceParameters().initial == 0.0
     tank: Any = SimpleNamespace(_energy=1e-3, _time=1e-3, axes=2)
-    request, slips = TankAdmittanceGroup._protected(tank, [0.5, 0.25], [-8.0, 2.0])  # 4 mJ out and 0.5 mJ in
+    request, slips = TankAdmittance._protected(tank, [0.5, 0.25], [-8.0, 2.0])  # 4 mJ out and 0.5 mJ in
     assert request == pytest.approx([0.5 / 3.5, 0.25 / 3.5])
     assert slips == [0.0, 0.0]
-    assert TankAdmittanceGroup._protected(tank, [0.5, 0.25], [8.0, -2.0])[0] == [0.5, 0.25]
+    assert TankAdmittance._protected(tank, [0.5, 0.25], [8.0, -2.0])[0] == [0.5, 0.25]
 
 
 @pytest.mark.parametrize(("initial", "brought", "filled"), [(1.0, 0.0, 2e-3), (1.0, 2.5, 0.0), (0.0, 2.5, 2e-3)])

@@ -19,7 +19,7 @@ from typing import Any, Final, cast
 import numpy as np
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS, DISPLAY_GROUP_ALGORITHMS
+from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS
 from canhaptic.control.passivity import ALGORITHMS, LITERATURE
 from canhaptic.drive.can.bus_budget import bus_budget
@@ -469,7 +469,7 @@ def _display_variants(scene: Scene) -> Iterator[Variant]:
     for factor in (0.5, 2.0, 4.0):
         rate = factor / scene.bus.sample_time
         yield Variant("rate", f"{rate:g} Hz", at_rate(scene, rate))
-    yield from _algorithms(scene, DISPLAY_GROUP_ALGORITHMS if scene.groups else DISPLAY_ALGORITHMS)
+    yield from _algorithms(scene, DISPLAY_ALGORITHMS)
     for sampling in ("point", "mean"):
         yield Variant("sampling", sampling, _sensed(scene, sampling=sampling))
     exact = _sensed(scene, gain=1.0, offset=0.0, drift=0.0, noise=0.0, quantum=0.0)
