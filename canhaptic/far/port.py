@@ -265,8 +265,10 @@ def share(run: FarRun, position: float, torque: float, is_whole: bool) -> tuple[
     if state.phase == IDLE:
         return 0.0, 0.0, 0.0
     energy, stored, level, given = certain(state), stored_by_model(settings, state, position), settings.level, 0.0
-    left = energy - needed(run) - stored
-    if is_whole and not state.stopping:
+    may_give, left = is_whole and not state.stopping and state.wanted > state.sent, -inf
+    if energy - stored > (0.5 if may_give else 2.0) * level:  # else there is nothing to give, and nothing to give up
+        left = energy - needed(run) - stored
+    if may_give:
         most = min(left - 0.5 * level, (state.wanted - state.sent) * PICO)
         if most > 0.0:
             whole = float(int(most / PICO))
