@@ -255,8 +255,9 @@ def _check_far(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> No
     axis = scene.far_axis
     if axis is None or axis.group or axis.parameters.admittance is not None:
         alone = [axis.parameters.name for axis in scene.axes if not axis.group and not axis.parameters.admittance]
-        text = f"got {scene.far.axis!r}, expected the name of a torque axis outside groups: {', '.join(alone)}"
-        faults.add(section.value_at("axis"), text)
+        text = f"got {scene.far.axis!r}, expected the name of a torque axis outside groups"
+        ways = ", ".join(alone) or "there is none here; a group has no far side, take the axis out of it"
+        faults.add(section.value_at("axis"), f"{text}: {ways}")
         return
     if scene.far.peer == LOOPBACK and not scene.simulated:
         text = f"got {LOOPBACK}, which is for simulated rigs; expected the address of the other rig"

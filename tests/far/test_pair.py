@@ -113,6 +113,31 @@ def test_what_a_rig_cannot_render_is_refused_with_its_key(change, text):
         load_scene(HAND, [change])
 
 
+def test_an_axis_of_a_group_has_no_far_side():
+    far = "far={name: link, axis: x, peer: loopback, coupling: {stiffness: 100 N/m, damping: 4 N*s/m}}"
+    with pytest.raises(SceneError, match=r"far\.axis: got 'x', .*there is none here; a group has no far side"):
+        load_scene("configs/xy_box.yaml", [far])
+
+
+@pytest.mark.slow
+def test_a_link_that_was_cut_begins_anew_and_the_positions_meet_without_a_jump(tmp_path):
+    path = tmp_path / "a.h5"
+    outage = "simulation.far_network={delay: 2.5 ms, outage: [1.5 s, 1.8 s]}"
+    outcome = pair_of([outage, "far.coupling={type: spring, stiffness: 400 N/m, damping: 8 N*s/m}"], (path, None))
+    result = outcome.run_through(4.0, lambda: False)
+    assert result.error is None
+    assert [one["far"]["sessions"] for one in result.results] == [2, 2]
+    assert result.pair["least_true"] >= -1e-9
+    with EnergyLog.open(path) as log:
+        torque, away = log.ports["handle"]["torque_applied"], log.ports["handle"]["position"] - log.far["position"]
+        [first, cut, anew] = np.flatnonzero(np.diff(log.far["session"])) + 1
+    drag = 4.0 * 0.05 * 2.0 * np.pi * 1.5  # at the hand's largest speed [N]
+    assert np.abs(np.diff(torque[cut:])).max() <= drag
+    assert np.abs(torque[anew - 20 : anew]).max() == 0.0 < np.abs(torque[first:cut]).max()
+    assert np.abs(away[anew + 20]) > 10e-3
+    assert np.abs(away[-200:]).min() < 1e-3
+
+
 def test_a_rig_without_its_other_side_and_a_program_on_its_axis_are_refused(tmp_path, capsys):
     with pytest.raises(InputError, match="--with"):
         build(load_scene(HAND))
