@@ -689,7 +689,7 @@ class OpenReplay:
         drives = [parts.build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
         self._follow_older_master(drives)
         return (JoinedRig if self._joins else Rig)(
-            can_buses(links, drives, scene.bus), drives, scene.bus, scene.group_places
+            can_buses(links, drives, scene.bus), drives, scene.bus, [port.places for port in scene.ports]
         )
 
     def _follow_older_master(self, drives: list[ServoDrive]) -> None:

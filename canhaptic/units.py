@@ -109,10 +109,10 @@ def parse_unit(text: str) -> tuple[float, _Dimension]:
     text = text.strip().translate(_AS_PRINTED)
     while position < len(text):
         match = _FACTOR.match(text, position)
-        if match is None or (position == 0) != (match.group(1) == ""):
+        if match is None or (position == 0) != (match[1] == ""):
             raise ValueError(f"cannot read unit {text!r}; write it like N*s/m or kg*m^2")
-        scale, base = _base_unit(match.group(2))
-        power = int(match.group(3) or 1) * (-1 if match.group(1) == "/" else 1)
+        scale, base = _base_unit(match[2])
+        power = int(match[3] or 1) * (-1 if match[1] == "/" else 1)
         factor *= scale**power
         dimension = tuple(a + power * b for a, b in zip(dimension, base, strict=True))
         position = match.end()
@@ -151,18 +151,18 @@ class Unit:
         match = _NUMBER_AND_UNIT.fullmatch(value)
         if match is None:
             raise ValueError(f"not a number with an optional unit; {expected}")
-        number = float(match.group(1))
-        if match.group(2) is None:
+        number = float(match[1])
+        if match[2] is None:
             return number
         try:
-            factor, dimension = parse_unit(match.group(2))
+            factor, dimension = parse_unit(match[2])
         except ValueError as error:
             raise ValueError(f"{error}; {expected}") from error
         for unit in self.accepted(motion):
             expected_factor, expected_dimension = parse_unit(unit)
             if dimension == expected_dimension:
                 return number * (factor / expected_factor)
-        raise ValueError(f"unit {match.group(2)!r} does not fit; {expected}")
+        raise ValueError(f"unit {match[2]!r} does not fit; {expected}")
 
 
 class Quantity:

@@ -91,8 +91,8 @@ def impossible_values(log: EnergyLog) -> list[dict[str, str | int]]:
         cycle = int(log.timing.read("sync_index", rows[0], rows[0] + 1)[0])
         found.append({"dataset": dataset, "what": what, "rows": len(rows), "cycle": cycle})
 
-    for group, quantities in log.tables.items():
-        for name in quantities if group != "timing" else ():
+    for table, quantities in log.tables.items():
+        for name in quantities if table != "timing" else ():
             bad, before = [], 0
             for start in range(0, log.rows, _BLOCK):
                 values = quantities.read(name, start, start + _BLOCK)
@@ -106,7 +106,7 @@ def impossible_values(log: EnergyLog) -> list[dict[str, str | int]]:
                     break
             if any(map(len, bad)):
                 what = "a decreasing count" if name in _COUNTS else "not finite"
-                add(f"{group}/{name}", what, np.concatenate(bad).tolist())
+                add(f"{table}/{name}", what, np.concatenate(bad).tolist())
     if changed := log.changed_rows():
         add(DIGEST, CHANGED, changed)
     return found
@@ -127,7 +127,7 @@ class PortRecord(PortFigures):
             limits_of(log, name) or ActiveLimits(0.0, inf, log.sample_time),
             is_damped=f"{name}.is_damped" in log.attributes,
             books_least=port.unit("torque_command") != port.unit("torque_applied"),
-            damping_asked=None if name in log.groups else log.number(f"{name}.damping_asked"),
+            damping_asked=log.number(f"{name}.damping_asked") if name in log.axes else None,
         )
         self._name, self._is_dry, self._sample_time = name, log.dry_run, log.sample_time
         losses = int(log.number(f"{name}.max_consecutive_losses"))
@@ -144,7 +144,7 @@ class PortRecord(PortFigures):
         self._interaction, self._least = np.longdouble(0.0), 0.0
         self._watch = _declared(log, f"{name}.{FRICTION_DECLARED}", lambda of: FrictionWatch(FrictionDeclared(**of)))
         self.felt = _declared(log, f"{name}.mass_asked", lambda of: MassFelt(MassAsked(**of)))
-        self._hold, self._is_in_degrees = "", name not in log.groups and in_degrees(log, name)
+        self._hold, self._is_in_degrees = "", name in log.axes and in_degrees(log, name)
         self._environment, self._algorithm = (
             log.attributes.get(f"{name}.{key}") for key in ("environment", "algorithm")
         )
@@ -494,7 +494,7 @@ def _port(log: EnergyLog, port_name: str, rows: slice) -> PortResult:
     }
     if rows.stop == log.rows and log.rows:
         _leave_open(log, log.axes_of(port_name), account)
-    if port_name in log.groups:
+    if port_name not in log.axes:
         account["state_unit"] = port.unit("state")
     return account
 
@@ -588,7 +588,7 @@ def _truth(log: EnergyLog, name: str, rows: slice) -> TruthResult:
     interaction = _taken_in(log, name, rows)
     axes = log.axes_of(name)
     supplied = [_supplied(log, axis, rows) for axis in axes]
-    if name not in log.groups:  # of a group the column has it
+    if name in log.axes:  # in the columns of the other ports it is already
         interaction = interaction + _running(supplied[0]) - (0.0 if rows.start else supplied[0][:1].sum())
     if not len(interaction):
         return with_old_names(

@@ -285,7 +285,7 @@ def samples_of(bus_log: str | Path, scene: Scene, remarks: Remarks) -> Iterator[
     Raises:
         LogFormatError: The bus log cannot be read, or the time of a SYNC is not known, so that a hold has no length.
     """
-    together = {axis: group for group in scene.group_places for axis in group}
+    together = {axis: port.places for port in scene.ports for axis in port.places}
     cycle, axes, rows = -1, *(_on_can if kind_of(scene.bus) == "can" else _on_line)(scene, bus_log, remarks)
     for periods in rows:
         if cycle >= 0 and any(axis.has_left for axis in axes):
@@ -294,7 +294,7 @@ def samples_of(bus_log: str | Path, scene: Scene, remarks: Remarks) -> Iterator[
             cycle += 1
             shown = [axis.shows_demand for axis in axes]
             samples = [
-                axis.sample(cycle, is_whole=all(axes[other].is_complete for other in together.get(number, ())))
+                axis.sample(cycle, is_whole=all(axes[other].is_complete for other in together[number]))
                 for number, axis in enumerate(axes)
             ]
             yield periods, samples, shown

@@ -141,15 +141,15 @@ def _read(path: Path, content: bytes, node_id: int) -> DriveDictionary:
     _read_dummies(source, dictionary)
     for section in sections:
         match = _OBJECT.fullmatch(section) or _ALMOST.fullmatch(section)
-        if match is None or (match.re is _OBJECT and match.group(2)):
+        if match is None or (match.re is _OBJECT and match[2]):
             continue
-        index = int(match.group(1), 16)
+        index = int(match[1], 16)
         try:
             if match.re is _ALMOST:
                 raise source.fault(section, f"names no object, expected [{index:04X}] or [{index:04X}sub1]; correct it")
             dictionary.add_object(_read_object(source, section, index))
         except DictionaryError as error:
-            dictionary.left_out[index, _UNKNOWN if match.group(2) == "sub" else 0] = str(error)
+            dictionary.left_out[index, _UNKNOWN if match[2] == "sub" else 0] = str(error)
     _read_subindices(source, dictionary)
     _agree_on_identity(dictionary)
     if not any(index >= 0x1000 for index in (*dictionary, *(index for index, _ in dictionary.left_out))):
@@ -216,7 +216,7 @@ def _integer(text: str) -> int | None:
     if _BARE_HEXADECIMAL.fullmatch(text):
         return int(text.removesuffix("h"), 16)
     try:
-        return int(octal.group(1), 8) if octal else int(text, 0)
+        return int(octal[1], 8) if octal else int(text, 0)
     except ValueError:
         return None
 
@@ -293,9 +293,9 @@ def _read_compact(source: _Source, section: str, holder: ODRecord, count: int) -
 def _read_subindices(source: _Source, dictionary: DriveDictionary) -> None:
     for section, entries in source.sections.items():
         match = _OBJECT.fullmatch(section)
-        if match is None or match.group(2) is None:
+        if match is None or match[2] is None:
             continue
-        index, subindex = int(match.group(1), 16), int(match.group(2), 16)
+        index, subindex = int(match[1], 16), int(match[2], 16)
         holder = dictionary.get(index)
         if holder is None:
             missing = f"belongs to no object; section [{index:04X}] is missing: correct the file"

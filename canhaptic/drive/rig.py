@@ -56,7 +56,7 @@ class Rig:
         buses: The buses in the cycle; the first sets the clock.
         drives: One per axis, in the order of samples and torques.
         bus: Parameters of the cycle: rate, link policy and the rest; the same for all buses.
-        groups: Indices of axes that render together. If one of them does not answer a SYNC, none of them has a sample,
+        ports: Indices of the axes of each port. If one of them does not answer a SYNC, none of them has a sample,
             and the link policy counts a missed SYNC for each.
 
     Attributes:
@@ -77,14 +77,15 @@ class Rig:
         buses: Sequence[BusCycle],
         drives: Sequence[TorqueAxis],
         bus: CycleParameters,
-        groups: Sequence[Sequence[int]] = (),
+        ports: Sequence[Sequence[int]] = (),
     ) -> None:
         self.buses = tuple(buses)
         self._seen = tuple(bus.seen for bus in self.buses)
         self.drives: tuple[Any, ...] = tuple(drives)  # each of the class of its fieldbus
         self._commands = [drive.command_per_mille for drive in self.drives]
-        together = {axis: tuple(self.drives[other] for other in group) for group in groups for axis in group}
-        self._needed = [(drive, together.get(axis, ())) for axis, drive in enumerate(self.drives)] if groups else []
+        several = (tuple(port) for port in ports if len(port) > 1)
+        together = {axis: tuple(self.drives[other] for other in port) for port in several for axis in port}
+        self._needed = [(drive, together.get(axis, ())) for axis, drive in enumerate(self.drives)] if together else []
         self.bus, self.clock = bus, self.buses[0].clock
         self._period = bus.sample_time_ns
         self._exchange = Exchange(self.buses, self.drives, bus)

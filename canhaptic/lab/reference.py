@@ -42,7 +42,7 @@ from canhaptic.lab.judge.reference_group import AxesModel, ReferenceGroup, Refer
 from canhaptic.lab.judge.reference_group import State as GroupState
 from canhaptic.lab.judge.reference_model import POSITION, VELOCITY, Floats, Model, Modes, State, Transition
 from canhaptic.lab.judge.solvers import states_at
-from canhaptic.lab.loop.axis_loop import environment_of, mechanism_of_group
+from canhaptic.lab.loop.axis_loop import environment_of, mechanism_moved
 from canhaptic.scene.far_side import effect_of
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisSimulation, Scene
@@ -298,18 +298,18 @@ def group_model(scene: Scene) -> ReferenceGroup:
     Raises:
         InputError: The plant has no equations.
     """
-    if mechanism_of_group(scene) is not None:
+    if mechanism_moved(scene) is not None:
         return mechanism_of(scene)
     try:
-        return AxesModel([textbook_model(simulation_of(scene.axis(name))) for name in scene.groups[0].axes])
+        return AxesModel([textbook_model(simulation_of(axis)) for axis in scene.ports[0].axes])
     except ParameterError as error:
         raise InputError(f"a plant of the group has no reference equations: {error}") from error
 
 
 def mechanism_of(scene: Scene) -> ReferenceMechanism:
     """Equations of the mechanism that the one group of a scene moves; errors as for `group_model`."""
-    (of,), (group,) = scene.mechanisms, scene.groups
-    if of.axes != group.axes:
+    [of], [port] = scene.mechanisms, scene.ports
+    if of.axes != tuple(axis.parameters.name for axis in port.axes):
         raise InputError("the mechanism lists the axes of the group in another order; use the same order")
     return mechanism_model(cast(MechanismParameters, of.mechanism.parameters), of.hand)
 
@@ -349,11 +349,11 @@ class _Coupled:
     """Motors and network; state: motors' states, network's x, impulse of every motor, energy taken by the network."""
 
     def __init__(self, scene: Scene) -> None:
-        (group,) = scene.groups
-        loops = tuple(scene.axis(name).loop for name in group.axes)
-        environment = cast(NetworkEnvironment, group.network.parameters)
-        self._world: GroupModel = world_of(environment, cast(Kinematics, group.kinematics.parameters), loops)
-        self.model, self.axes = group_model(scene), len(group.axes)
+        [port] = scene.ports
+        loops = tuple(axis.loop for axis in port.axes)
+        environment = cast(NetworkEnvironment, port.rendered.parameters)
+        self._world: GroupModel = world_of(environment, cast(Kinematics, port.kinematics.parameters), loops)
+        self.model, self.axes = group_model(scene), len(port.axes)
         geometry, tables = self._world.geometry, self._world.tables
         ports, dimensions = geometry.ports, geometry.dimensions
         self._place, self._jacobian = list_of_zeros(dimensions), zeros(dimensions, self.axes)

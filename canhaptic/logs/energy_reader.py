@@ -120,12 +120,12 @@ _OURS = ("format", "format_version", "sample_time_ns", "ports", "status", "rows_
 class Quantities(Mapping[str, Array]):
     """The columns of one group, as arrays of shape (n_rows,); names of earlier releases are understood too."""
 
-    def __init__(self, file: Hdf5File, group: str, rows: int) -> None:
+    def __init__(self, file: Hdf5File, path: str, rows: int) -> None:
         self._file = file
-        self._group = group
+        self._path = path
         self._rows = rows
-        found = set(file.names(group))
-        known = OLD_COLUMNS if group.startswith("ports/") else {}
+        found = set(file.names(path))
+        known = OLD_COLUMNS if path.startswith("ports/") else {}
         self._stored = {  # name -> that of the dataset; a velocity has its name where the log says that it is one
             new: old for new, old in known.items() if old in found and (old in NEW_COLUMNS or new in found)
         }
@@ -152,7 +152,7 @@ class Quantities(Mapping[str, Array]):
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> Array:
         """Return rows `start` to `stop` of one quantity without keeping them in memory."""
-        path = f"{self._group}/{self._stored.get(name, name)}"
+        path = f"{self._path}/{self._stored.get(name, name)}"
         if self._file.is_closed:
             raise InputError(f"{path}: the log is closed; read its arrays before `close`, or within its `with` block")
         with read_safely(path, "the data is damaged", _SAVES):
@@ -160,7 +160,7 @@ class Quantities(Mapping[str, Array]):
 
     def unit(self, name: str) -> str:
         """Return the unit of a quantity; "1" for a pure number."""
-        path = f"{self._group}/{self._stored.get(name, name)}"
+        path = f"{self._path}/{self._stored.get(name, name)}"
         with read_safely(path, "the unit is damaged"):
             return str(_plain(self._file[path].attributes.get("unit", "1")))
 

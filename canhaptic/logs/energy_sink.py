@@ -71,12 +71,12 @@ def repack(
 
 def _names_of(path: str, file: Hdf5File) -> tuple[str, str]:
     """Return the stored name of a column, and its second name or "", from either of them."""
-    group, _, name = path.rpartition("/")
-    if not group.startswith("ports/"):
+    folder, _, name = path.rpartition("/")
+    if not folder.startswith("ports/"):
         return path, ""
-    stored, found = OLD_COLUMNS.get(name, name), file.names(group)
+    stored, found = OLD_COLUMNS.get(name, name), file.names(folder)
     also = [new for new, old in OLD_COLUMNS.items() if old == stored and new in found]
-    return f"{group}/{stored}", f"{group}/{also[0]}" if also else ""
+    return f"{folder}/{stored}", f"{folder}/{also[0]}" if also else ""
 
 
 class EnergySink(LogSink):

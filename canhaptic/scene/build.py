@@ -475,7 +475,7 @@ def _build_rig(scene: Scene, links: "Sequence[Link | EthercatBusCycle]", *, dry_
     for name, (link, bus) in by_name.items():
         on_bus = [drive for drive, axis in zip(drives, scene.axes, strict=True) if axis.bus == name]
         buses += part(kind_of(bus), "cycles")(link, on_bus, bus)
-    return Rig(buses, drives, scene.bus, scene.group_places)
+    return Rig(buses, drives, scene.bus, [port.places for port in scene.ports])
 
 
 def _truths(far_side: "Drives | None") -> Callable[[], Sequence[Truth]] | None:

@@ -46,8 +46,8 @@ class SceneContext(UnitContext):
     simulated: bool = False  # as that of `Scene`, once the bus is validated
     folder: Path = Path()  # of the scene
     use: CodeUse = "refused"
-    displays: set[str] = field(default_factory=set)  # axes that are admittance displays, as far as they are read
-    is_display: bool = False  # whether the last of them is one
+    kinds: dict[str, str] = field(default_factory=dict)  # axis -> kind of its causality, as far as they are read
+    kind: str = ""  # of the last of them
     _code: Any = None
 
     @property
@@ -100,8 +100,8 @@ class ComponentOf:
         kind: Kind of entries in the table, for messages.
         selector: Key of the section that contains the name.
         apart: Keys of the section for another field of the scene; only a model with such a field gets them too.
-        displays: The same of admittance displays, which measure force and command velocity; None: this one.
         others: Table of another section, and what its entries are, for a name of it.
+        of_kinds: Kind of an axis' causality -> its own table in place of this one.
     """
 
     def __init__(
@@ -110,11 +110,11 @@ class ComponentOf:
         kind: str,
         selector: str = "type",
         apart: tuple[str, ...] = (),
-        displays: "ComponentOf | None" = None,
         others: tuple[Mapping[str, str], str] = ({}, ""),
+        of_kinds: Mapping[str, "ComponentOf"] = {},
     ) -> None:
         self._others = others
-        self.table, self.kind, self.selector, self.apart, self._displays = table, kind, selector, apart, displays
+        self.table, self.kind, self.selector, self.apart, self._of_kinds = table, kind, selector, apart, of_kinds
 
     @property
     def expected(self) -> str:
@@ -134,7 +134,11 @@ class ComponentOf:
             model = table.model_of(section)
             return -1 if model is None else len(keys & {*model.model_fields, *table.apart})
 
-        return self if self._displays is None else max(self, self._displays, key=known)
+        return max((self, *self._of_kinds.values()), key=known)
+
+    def of(self, *kinds: str) -> "ComponentOf":
+        """Return the table for axes with these kinds of causality."""
+        return self._of_kinds.get(kinds[0], self) if len({*kinds}) == 1 else self
 
     def model_named(self, name: str, offered: Iterable[str] = ()) -> type[Parameters]:
         """Return the model of an entry of the table.
@@ -174,7 +178,7 @@ class ComponentOf:
         """
         if not isinstance(value, list):
             return self.read(value, info)
-        if self._displays is not None and _is_of_displays(info):
+        if self.of(*_kinds(info)) is not self:
             text = f"a list is the sum of several, which an admittance display does not render; give one {self.kind}"
             raise PydanticCustomError(READY, "{text}", {"text": text})
         if not value:
@@ -196,11 +200,10 @@ class ComponentOf:
 
     def read(self, value: object, info: ValidationInfo[SceneContext]) -> ComponentSpec:
         """Return the component that a section names, from the table for this kind of display."""
-        if self._displays is not None and _is_of_displays(info):
-            return self._displays.read(value, info)
-        return self._named(value, info)
+        return self.of(*_kinds(info)).named(value, info)
 
-    def _named(self, value: object, info: ValidationInfo[SceneContext]) -> ComponentSpec:
+    def named(self, value: object, info: ValidationInfo[SceneContext]) -> ComponentSpec:
+        """Return the component of this table, or of the user's own code, that a section names."""
         if isinstance(value, ComponentSpec):
             return value
         if value is None:
@@ -240,11 +243,13 @@ class ComponentOf:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         choices = [self._choice(name, handler) for name in self.table]
-        if self._displays is None:
+        if not self._of_kinds:
             return {"oneOf": choices}
         if self.adds:
             choices.append({"type": "array", "title": "a sum", "minItems": 1, "items": {"oneOf": list(choices)}})
-        return {"anyOf": [*choices, *self._displays.__get_pydantic_json_schema__(schema, handler)["oneOf"]]}
+        for table in self._of_kinds.values():
+            choices += table.__get_pydantic_json_schema__(schema, handler)["oneOf"]
+        return {"anyOf": choices}
 
     def _choice(self, name: str, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Schema of one entry of the table, including its name."""
@@ -255,10 +260,10 @@ class ComponentOf:
         return {**model, "properties": properties, "required": [self.selector, *required]}
 
 
-def _is_of_displays(info: ValidationInfo[SceneContext]) -> bool:
-    """Whether the axis that is read, or every axis of the group that is read, is an admittance display."""
-    of_group = info.data.get("axes")
-    return info.context.displays >= set(of_group) if of_group else info.context.is_display
+def _kinds(info: ValidationInfo[SceneContext]) -> list[str]:
+    """Return the kind of the axis that is read, or of each axis of the group that is read."""
+    context, together = info.context, info.data.get("axes")
+    return [context.kinds.get(name, "") for name in together] if together else [context.kind]
 
 
 def _parameters_of(entry: Any) -> type[Parameters]:

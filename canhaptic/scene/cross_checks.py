@@ -1,6 +1,6 @@
 """Checks of a scene that need more than one of its sections."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from canhaptic.axis_units import effort_unit, stiffness_unit
@@ -17,7 +17,7 @@ from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation
 from canhaptic.scene.layout import bus_section
 from canhaptic.scene.models import FAR, AxisScene, Scene, rests_on_hand_force
-from canhaptic.scene.parts import build_axis_controller, build_far_port, build_group
+from canhaptic.scene.parts import build_far_port, controller_of
 from canhaptic.units import shown
 
 
@@ -36,6 +36,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
     _check_buses(scene, sections, faults)
     maps: dict[str, list[AxisMap | None]] = {bus.name: [] for bus in scene.buses}
     of_groups = dict(zip((group.name for group in scene.groups), sections.get("groups") or (), strict=True))
+    marks = {name: section.mark for name, section in of_groups.items()}
     for axis, entry in zip(scene.axes, sections["axes"], strict=True):
         given = (owner.get("passivity") for owner in (entry, of_groups.get(axis.group, sections)))
         loop = next(section for section in given if isinstance(section, MarkedMapping))
@@ -47,11 +48,8 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
 
             least = least_lateness(axis, scene.bus_of(axis), scene.effects_on(axis.bus))
         maps[axis.bus].append(_check_axis(_Checked(axis, port.axes[0], entry, loop, *known, least), faults))
-    for group in scene.groups:
-        try:
-            build_group(scene, group)
-        except ParameterError as error:
-            faults.add(of_groups[group.name].mark, str(error))
+        marks[axis.parameters.name] = loop.mark
+    _check_controllers(scene, marks, faults)
     _check_far(scene, sections, faults)
     if scene.simulation is not None:
         from canhaptic.scene.far_side import check_plants
@@ -83,7 +81,6 @@ def _check_axis(of: _Checked, faults: Diagnostics) -> AxisMap | None:
     """Note the faults of an axis; return the PDO map of its drive, if its dictionary is fit."""
     for key, text in _faults_of_axis(of):
         faults.add(of.entry.value_at(key) if key else of.entry.mark, text)
-    _check_controller(of, faults)
     axis_map = _check_dictionary(of, faults)
     for key, text in _faults_of_loop(of, axis_map):
         faults.add(of.loop.value_at(key), text)
@@ -234,14 +231,14 @@ def _faults_of_loop(of: _Checked, axis_map: AxisMap | None) -> Iterator[tuple[st
         yield "torque_window", f"{text} bit/s; measure it (canhaptic commission), or set rpdo: synchronous"
 
 
-def _check_controller(of: _Checked, faults: Diagnostics) -> None:
-    """Build the controller once, so that it reports what it refuses."""
-    axis = of.axis
-    try:
-        if not axis.group and axis.is_read and axis.guard != FAR:
-            build_axis_controller(axis)
-    except ParameterError as error:
-        faults.add(of.loop.mark, str(error))
+def _check_controllers(scene: Scene, marks: Mapping[str, SourceLocation], faults: Diagnostics) -> None:
+    """Build the controller of each port once, so that it reports what it refuses."""
+    for port in scene.ports:
+        try:
+            if port.axes[0].guard != FAR and all(axis.is_read for axis in port.axes):
+                controller_of(scene, port)
+        except ParameterError as error:
+            faults.add(marks[port.name], str(error))
 
 
 def _check_far(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> None:

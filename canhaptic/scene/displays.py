@@ -7,16 +7,15 @@ from collections.abc import Iterator
 from math import pi
 from typing import TYPE_CHECKING, Any, cast
 
-from canhaptic.control.admittance import build_display_group
+from canhaptic.control.admittance import build_display_controller, build_display_group
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.motion_checks import MassAsked, MassFelt
 from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.scene.models import AxisScene, GroupScene, Port, Scene
+from canhaptic.scene.models import AxisScene, Port, Scene
 
 if TYPE_CHECKING:
     from canhaptic.control.mechanisms.kinematics import Kinematics
-    from canhaptic.control.multi_axis.group_controller import GroupController
 
 
 def display_properties(axis: AxisScene) -> AdmittanceProperties:
@@ -47,21 +46,13 @@ def display_properties(axis: AxisScene) -> AdmittanceProperties:
     )  # fmt: skip
 
 
-def build_group_of_displays(scene: Scene, group: GroupScene) -> "GroupController":
-    """Return the controller of a group of admittance displays.
-
-    Raises:
-        ParameterError: An axis of the group is no admittance display.
-    """
-    axes = [scene.axis(name) for name in group.axes]
-    others = [axis.parameters.name for axis in axes if axis.parameters.admittance is None]
-    if others:
-        text = f"group {group.name!r} mixes admittance displays and {', '.join(others)}"
-        raise ParameterError(f"{text}; expected one kind")
-    properties, kinematics = [display_properties(of) for of in axes], cast("Kinematics", group.kinematics.parameters)
-    return build_display_group(
-        group.network.parameters, group.passivity.name, group.passivity.parameters, properties, kinematics
-    )
+def display_controller(port: Port) -> Any:
+    """Return the controller of a port of admittance displays, at rest; raise ParameterError."""
+    here, by, properties = port.rendered.parameters, port.passivity, [display_properties(axis) for axis in port.axes]
+    if not port.section:
+        return build_display_controller(here, by.name, by.parameters, properties[0])
+    kinematics = cast("Kinematics", port.kinematics.parameters)
+    return build_display_group(here, by.name, by.parameters, properties, kinematics)
 
 
 def mass_felt(axis: AxisScene, port: Port) -> MassFelt | None:

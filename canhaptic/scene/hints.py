@@ -19,10 +19,11 @@ from canhaptic.control.damping import largest_stable_damping, least_oscillating_
 from canhaptic.control.ledger import DEFAULT_LIMIT
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.verdict import NO_PULL
+from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.meters import promise_of
 from canhaptic.quantities import ACCOUNT, LIMITS
 from canhaptic.scene.displays import display_properties
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import AxisScene, Port, Scene
 
 _BY_DAMPING: Final = ("guarded", "energy_bounding")
 """Algorithms that certify torques by the declared damping of the device."""
@@ -110,9 +111,16 @@ def _requested(axis: AxisScene, key: str) -> float | None:
 
 
 def hints_of(scene: Scene) -> list[Hint]:
-    """Return the limits of all axes, groups and admittance displays of a scene."""
-    alone = [hint for axis in scene.axes for hint in stability_hints(axis)]
-    return alone + group_hints(scene) + later_hints(scene) + display_hints(scene) + stop_hints(scene)
+    """Return the limits of all axes of a scene."""
+    of_ports = [hint for port in scene.ports for hint in port_hints(port, scene)]
+    return of_ports + later_hints(scene) + stop_hints(scene)
+
+
+def port_hints(port: Port, scene: Scene) -> list[Hint]:
+    """Return the limits of the axes of a port; they are information only, its algorithm enforces passivity."""
+    if port.causality is not IMPEDANCE:
+        return [hint for axis in port.axes for hint in _of_display(axis, port, scene)]
+    return [hint for axis in port.axes for hint in _of_torque(axis, port)]
 
 
 def stop_hints(scene: Scene) -> list[Hint]:
@@ -138,13 +146,24 @@ def stop_hints(scene: Scene) -> list[Hint]:
 
 
 def stability_hints(axis: AxisScene) -> list[Hint]:
-    """Return the limits of one axis; they are information only, the passivity algorithm enforces passivity."""
-    if axis.group or axis.parameters.admittance is not None:
-        return []  # see `group_hints`, `display_hints`
+    """Return the limits of a torque axis that renders alone."""
+    return _of_torque(axis, axis.as_port())
+
+
+def _of_torque(axis: AxisScene, port: Port) -> list[Hint]:
+    """Return the limits of an axis by the certificates of its port, in motor coordinates.
+
+    The stiffness of a network is in task space, which is that of the motors only with `identity` kinematics.
+    """
     if not axis.is_read:
         text = "not known: environment or algorithm is own code, which is not run here"
         return [_limit(axis, "not_read", None, text)]
-    return [*_stiffness_hints(axis), _quantisation_hint(axis), *_damping_hints(axis), *_certificate_hints(axis)]
+    rendered = port.rendered if port.kinematics.name == "identity" else axis.environment
+    axis = replace(axis, passivity=port.passivity, environment=rendered)
+    if len(port.axes) > 1:
+        return [*_certificate_hints(axis, port.axes), *_apart_hint(axis, len(port.axes)), *_damping_hints(axis)]
+    of_wall = [*_stiffness_hints(axis), _quantisation_hint(axis), *_damping_hints(axis)]
+    return [*of_wall, *_certificate_hints(axis), *_encoder_hint(axis)]
 
 
 def later_hints(scene: Scene) -> list[Hint]:
@@ -153,32 +172,13 @@ def later_hints(scene: Scene) -> list[Hint]:
         return []
     hints = []
     for axis in scene.axes:
-        if axis.group or axis.parameters.admittance is not None or not (axis.is_own or not axis.is_read):
+        if axis.is_read and not axis.is_own:
             continue
         later = replace(axis, loop=axis.loop.model_copy(update={"delay": axis.loop.delay + 1}))
-        for now, hint in zip(_certificate_hints(axis), _certificate_hints(later), strict=False):  # first those
+        for now, hint in zip(_certificate_hints(axis), _certificate_hints(later), strict=True):
             if hint.certificate:
                 text = f"own code in a process of its own, one hold later (code_runs_in: cycle: {now.limit:.4g})"
                 hints.append(hint._replace(what=f"{hint.what}, one hold later", text=text, certificate=""))
-    return hints
-
-
-def group_hints(scene: Scene) -> list[Hint]:
-    """Return the limits of each axis in a group by the group's certificates, in motor coordinates.
-
-    The stiffness of the network is in task space, which is that of the motors only with `identity` kinematics.
-    """
-    hints = []
-    for group in scene.groups:
-        members, is_identity = [scene.axis(name) for name in group.axes], group.kinematics.name == "identity"
-        if any(axis.parameters.admittance is not None for axis in members):
-            continue  # see `display_hints`
-        axes = [
-            replace(axis, passivity=group.passivity, environment=group.network if is_identity else axis.environment)
-            for axis in members
-        ]
-        for axis in axes:
-            hints += [*_certificate_hints(axis, axes), *_apart_hint(axis, len(axes)), *_damping_hints(axis)]
     return hints
 
 
@@ -275,7 +275,7 @@ def _damping_hints(axis: AxisScene) -> list[Hint]:
     return [*hints, _limit(axis, "damping_stable", diverges, f"at delay {delay}, {source}")]
 
 
-def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list[Hint]:
+def _certificate_hints(axis: AxisScene, together: Sequence[AxisScene] = ()) -> list[Hint]:
     """Return the stiffness that each declared certificate of `guarded` permits at the torque limit.
 
     A certificate covers a torque for the hold in which it acts, the holds of the delay, and those of lost frames
@@ -288,11 +288,11 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
     more = f"; max_consecutive_losses {losses}: {lag + 1} holds" if losses else ""
     hand_force, hand_speed = getattr(parameters, "hand_force", None), getattr(parameters, "hand_speed", None)
     if hand_force is not None and loop.moving_mass is not None:
-        least, most = 0.0 if len(group) > 1 else loop.device_damping or 0.0, loop.device_damping_bound or 0.0
-        pull = (hand_force + (loop.device_friction_bound or 0.0)) * _on_all(axis, group)
+        least, most = 0.0 if len(together) > 1 else loop.device_damping or 0.0, loop.device_damping_bound or 0.0
+        pull = (hand_force + (loop.device_friction_bound or 0.0)) * _on_all(axis, together)
         given = loop.sample_time, loop.moving_mass, pull, least, most
         response = bounds.displacement_response(*given, timing=loop.timing)
-        of_each = f" on each of {len(group)} axes" if len(group) > 1 else ""
+        of_each = f" on each of {len(together)} axes" if len(together) > 1 else ""
         hand = f"hand force up to {hand_force:g}" if hand_force else "assumes that the hand never pulls"
         text = f"{hand}{of_each if hand_force else ''}{more}"
         held["hand force"] = bounds.renderable_by_hand_force(response, lag, torque), f"at the torque limit, {text}"
@@ -303,13 +303,13 @@ def _certificate_hints(axis: AxisScene, group: Sequence[AxisScene] = ()) -> list
     if hand_speed is not None:
         limit = bounds.renderable_by_hand_speed(hand_speed, loop.sample_time, lag, torque)
         held["hand speed"] = limit, f"at the torque limit, hand speed up to {hand_speed:g}{more}"
-    return [*_held_stiffness(axis, held), *hints, *_encoder_hint(axis)]
+    return [*_held_stiffness(axis, held), *hints]
 
 
 def _encoder_hint(axis: AxisScene) -> list[Hint]:
     """Return the stiffness f_c / count that `guarded` renders indefinitely with this encoder."""
     count, friction, asked = axis.loop.encoder_count, axis.loop.device_friction or 0.0, _requested(axis, _STIFFNESS)
-    if not count or axis.group or axis.passivity.name != "guarded":
+    if not count or axis.passivity.name != "guarded":
         return []
     unit, limit = axis.parameters.unit, friction / count if friction else None
     if friction:
@@ -379,9 +379,9 @@ def _energy_hint(axis: AxisScene, response: bounds.DisplacementResponse, lag: in
     return [_limit(axis, "contact_energy", energy, f"{earning}; or set energy_allowance to it", wall)]
 
 
-def _on_all(axis: AxisScene, group: Sequence[AxisScene]) -> float:
+def _on_all(axis: AxisScene, together: Sequence[AxisScene]) -> float:
     """Return the motion of an axis by a hand on all axes over that by a hand on it alone: sqrt(sum(1 / m_j) m_i)."""
-    masses = [each.loop.moving_mass for each in group]
+    masses = [each.loop.moving_mass for each in together]
     if axis.loop.moving_mass is None or None in masses or len(masses) < 2:
         return 1.0
     return math.sqrt(sum(axis.loop.moving_mass / mass for mass in masses if mass is not None))
@@ -411,16 +411,10 @@ def _share(limit: float, asked: float | None) -> str:
     return f"; covers {100.0 * min(1.0, limit / asked):.3g} % of the requested stiffness"
 
 
-def display_hints(scene: Scene) -> list[Hint]:
-    """Return the figures of every admittance display of a scene; they are information only."""
-    return [hint for axis in scene.axes if axis.parameters.admittance is not None for hint in _of_axis(axis, scene)]
-
-
-def _of_axis(axis: AxisScene, scene: Scene) -> list[Hint]:
+def _of_display(axis: AxisScene, port: Port, scene: Scene) -> list[Hint]:
     properties = display_properties(axis)
     text = "costs the account as much as dry friction of this size: sensor error, and what point samples leave unseen"
     hints = [_limit(axis, "force_uncertainty", _uncertainty(properties), text)]
-    port = scene.port_of(axis)
     known, rendered = port.passivity.parameters, port.rendered.parameters
     if isinstance(known, GuardedAdmittanceParameters):
         asked = getattr(rendered, "inertia", getattr(rendered, "mass", None))

@@ -10,7 +10,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple, TypeVar
 
@@ -37,6 +37,7 @@ from canhaptic.control.passivity import ALGORITHMS, LoopProperties
 from canhaptic.control.verdict import BY_CONSTRUCTION, NOT_CHECKED
 from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
 from canhaptic.drive.cycle_parameters import CycleParameters
+from canhaptic.drive.profile.causality import ADMITTANCE
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import InputError
 from canhaptic.scene.buses import DICTIONARIES, kind_of, read_axis, read_bus
@@ -107,6 +108,8 @@ class LogParameters(Parameters):
 
 
 if TYPE_CHECKING:
+    from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
+    from canhaptic.drive.profile.causality import Impedance
     from canhaptic.far.parameters import FarParameters
     from canhaptic.sim.bus.faulty_bus import BusEffects
     from canhaptic.sim.drive import SimulatedDriveParameters
@@ -142,18 +145,26 @@ UnitT = TypeVar("UnitT", bound=str | None)
 _Drive = Annotated[SimulatedDriveParameters, OnDemand("canhaptic.sim.drive:SimulatedDriveParameters")]
 _Hand = Annotated[TaskHand, OnDemand("canhaptic.sim.plant.mechanism.task_hand:TaskHand")]
 _LOOP, _DISPLAY_LOOP = ("algorithm", LOOP_KEYS), ("algorithm", DISPLAY_LOOP_KEYS)
-_OF_ONE, _OF_SEVERAL = "of an admittance display", "of several admittance displays"
-_ENVIRONMENT_OF_DISPLAY = ComponentOf(displays.DISPLAY_ENVIRONMENTS, f"environment {_OF_ONE}")
-_ALGORITHM_OF_DISPLAY = ComponentOf(displays.DISPLAY_ALGORITHMS, f"algorithm {_OF_ONE}", *_DISPLAY_LOOP)
+_OF_SEVERAL = "of several admittance displays"
+_ENVIRONMENT_OF_DISPLAY = ComponentOf(displays.DISPLAY_ENVIRONMENTS, f"environment of {ADMITTANCE}")
+_ALGORITHM_OF_DISPLAY = ComponentOf(displays.DISPLAY_ALGORITHMS, f"algorithm of {ADMITTANCE}", *_DISPLAY_LOOP)
 _ALGORITHM_OF_DISPLAYS = ComponentOf(displays.DISPLAY_ALGORITHMS, f"algorithm {_OF_SEVERAL}", *_DISPLAY_LOOP)
 _NETWORK_OF_DISPLAYS = ComponentOf(displays.DISPLAY_NETWORKS, f"network {_OF_SEVERAL}")
 _ENVIRONMENT = ComponentOf(
-    ENVIRONMENTS, "environment", displays=_ENVIRONMENT_OF_DISPLAY, others=(NETWORKS, "a network of a group")
+    ENVIRONMENTS,
+    "environment",
+    of_kinds={ADMITTANCE: _ENVIRONMENT_OF_DISPLAY},
+    others=(NETWORKS, "a network of a group"),
 )
-_ALGORITHM = ComponentOf(ALGORITHMS, "passivity algorithm", *_LOOP, displays=_ALGORITHM_OF_DISPLAY)
-_GROUP_ALGORITHM = ComponentOf(GROUP_ALGORITHMS, "group algorithm", *_LOOP, displays=_ALGORITHM_OF_DISPLAYS)
+ALGORITHM = ComponentOf(ALGORITHMS, "passivity algorithm", *_LOOP, of_kinds={ADMITTANCE: _ALGORITHM_OF_DISPLAY})
+_GROUP_ALGORITHM = ComponentOf(
+    GROUP_ALGORITHMS, "group algorithm", *_LOOP, of_kinds={ADMITTANCE: _ALGORITHM_OF_DISPLAYS}
+)
 _NETWORK = ComponentOf(
-    NETWORKS, "network", displays=_NETWORK_OF_DISPLAYS, others=(ENVIRONMENTS, "an environment of one axis")
+    NETWORKS,
+    "network",
+    of_kinds={ADMITTANCE: _NETWORK_OF_DISPLAYS},
+    others=(ENVIRONMENTS, "an environment of one axis"),
 )
 
 
@@ -228,12 +239,11 @@ class GroupMembership(Parameters):
 
 
 def _axis(value: object, read: Callable[[object], object], info: Info[SceneContext]) -> object:
-    """Read an axis in its unit; the context notes whether it is an admittance display."""
+    """Read an axis in its unit; the context notes the kind of its causality."""
     written = value.get("parameters") if isinstance(value, MarkedMapping) else None
-    info.context.is_display = False
+    info.context.kind = ""
     if isinstance(written, MarkedMapping) and written.get("admittance") is not None:
-        info.context.is_display = True
-        info.context.displays.add(str(written.get("name")))
+        info.context.kind = info.context.kinds[str(written.get("name"))] = ADMITTANCE
     return _in_its_unit(value, read, info)
 
 
@@ -282,13 +292,17 @@ class AxisScene:
 
     parameters: Annotated[SerializeAsAny[AxisParameters], WrapValidator(read_axis)]
     environment: Annotated[ComponentSpec, _ENVIRONMENT]
-    passivity: Annotated[ComponentSpec, _ALGORITHM]
+    passivity: Annotated[ComponentSpec, ALGORITHM]
     loop: Annotated[LoopProperties, BeforeValidator(_loop_of)]
     simulation: AxisSimulation | None
     bus: str = ""  # name of the one it is on
     group: str = ""  # name of the group that renders on it; environment and passivity then say so
     simulated_drive: _Drive | None = None  # of an axis whose motor moves a simulated mechanism
     guard: str = ""  # of the torque that a program asks for on it; empty where an environment is rendered
+
+    def as_port(self, place: int = 0) -> "Port":
+        """Return the axis as a port by itself; `place` is its index in the scene."""
+        return Port(self.parameters.name, (self,), (place,), self.environment, _OF_ITSELF, self.passivity, "")
 
     @property
     def port(self) -> str:
@@ -334,6 +348,16 @@ class Port(NamedTuple):
     kinematics: ComponentSpec
     passivity: ComponentSpec
     section: str  # path of what is rendered, for an override; empty for the environment of an axis
+
+    @property
+    def causality(self) -> "Impedance | AdmittanceParameters":
+        """What its drives are sent and what they show."""
+        return self.axes[0].parameters.causality
+
+    @property
+    def algorithms(self) -> ComponentOf:
+        """The algorithms that can render on its axes."""
+        return (_GROUP_ALGORITHM if self.section else ALGORITHM).of(self.causality.kind)
 
 
 def _as_many_as_move_it(axes: tuple[str, ...], info: Info[SceneContext]) -> tuple[str, ...]:
@@ -448,32 +472,36 @@ class Scene:
         return (NamedBus(self.bus_name, self.bus), *further)
 
     @property
-    def group_places(self) -> list[tuple[int, ...]]:
-        """Indices of the axes of each group in the scene."""
-        places = {axis.parameters.name: place for place, axis in enumerate(self.axes)}
-        return [tuple(places[name] for name in group.axes) for group in self.groups]
-
-    @property
     def ports(self) -> list[Port]:
         """Every axis outside groups, then every group."""
-        alone = [self._alone(n) for n, axis in enumerate(self.axes) if not axis.group]
-        return alone + [self._several(n, places) for n, places in enumerate(self.group_places)]
+        known = [axis.as_port(place) for place, axis in enumerate(self.axes) if not axis.group]
+        at = {axis.parameters.name: place for place, axis in enumerate(self.axes)}
+        for n, several in enumerate(self.groups):
+            places, section = tuple(at[name] for name in several.axes), f"groups.{n}.network"
+            axes, shape = tuple(self.axes[place] for place in places), several.kinematics
+            known.append(Port(several.name, axes, places, several.network, shape, several.passivity, section))
+        return known
 
     def port_of(self, axis: AxisScene) -> Port:
         """Return the port that an axis is in."""
-        if axis.group:
-            place = next(n for n, group in enumerate(self.groups) if group.name == axis.group)
-            return self._several(place, self.group_places[place])
-        name = axis.parameters.name
-        return self._alone(next(n for n, of in enumerate(self.axes) if of.parameters.name == name))
+        return next(port for port in self.ports if port.name == axis.port)
 
-    def _alone(self, place: int) -> Port:
-        axis = self.axes[place]
-        return Port(axis.parameters.name, (axis,), (place,), axis.environment, _OF_ITSELF, axis.passivity, "")
+    def alone(self, port: Port) -> "Scene":
+        """Return the scene with only that port, and the mechanisms that its axes move."""
+        names = {axis.parameters.name for axis in port.axes}
+        groups = tuple(of for of in self.groups if of.name == port.name)
+        moved = tuple(of for of in self.mechanisms if not names.isdisjoint(of.axes))
+        return replace(self, axes=port.axes, groups=groups, mechanisms=moved)
 
-    def _several(self, place: int, places: tuple[int, ...]) -> Port:
-        of, axes = self.groups[place], tuple(self.axes[n] for n in places)
-        return Port(of.name, axes, places, of.network, of.kinematics, of.passivity, f"groups.{place}.network")
+    def with_port(self, port: Port) -> "Scene":
+        """Return the scene in which this port is in place of the one of that name."""
+        name, here, by = port.name, port.rendered, port.passivity
+        own = {of.parameters.name: of for of in port.axes}
+        if name in own:
+            own[name] = replace(own[name], environment=here, passivity=by)
+        groups = (replace(of, network=here, passivity=by) if of.name == name else of for of in self.groups)
+        axes = tuple(own.get(of.parameters.name, of) for of in self.axes)
+        return replace(self, axes=axes, groups=tuple(groups))
 
     @property
     def far_axis(self) -> AxisScene | None:

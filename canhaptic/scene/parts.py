@@ -4,24 +4,25 @@ from collections.abc import Sequence
 from math import inf
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from canhaptic.control.admittance import build_display_controller
 from canhaptic.control.axis_meter import Accuracy, AxisMeter, SilentMeter
 from canhaptic.control.environments import Environment, plain
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import Controller, LoopProperties, build_controller
 from canhaptic.control.ports import Port
 from canhaptic.drive.axis_parameters import CanBusParameters
+from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.registry import load
 from canhaptic.scene.buses import kind_of, part
 from canhaptic.scene.components import ComponentSpec
-from canhaptic.scene.models import FAR, AxisScene, GroupScene, Scene
+from canhaptic.scene.models import FAR, AxisScene, Scene
+from canhaptic.scene.models import Port as PortScene
 from canhaptic.units import Parameters
 
 if TYPE_CHECKING:
     from canhaptic.control.mechanisms.kinematics import Kinematics
     from canhaptic.control.motion_checks import FrictionDeclared
-    from canhaptic.control.multi_axis.group_controller import GroupController, NetworkEnvironment
+    from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
     from canhaptic.drive.can.link import Link
     from canhaptic.drive.ethercat.bus_cycle import EthercatBusCycle
     from canhaptic.far.parameters import FarParameters
@@ -105,20 +106,11 @@ def friction_declared(axis: AxisScene) -> "FrictionDeclared | None":
 
 
 def build_axis_controller(axis: AxisScene) -> Controller:
-    """Return the passivity algorithm of one axis around its environment.
+    """Return the passivity algorithm of one torque axis around its environment.
 
     Raises:
         ParameterError: A value that the algorithm needs is missing, or the axis is in a group.
     """
-    if axis.group:
-        text = f"{axis.parameters.name}: group {axis.group!r} renders on this axis"
-        raise ParameterError(f"{text}, expected an axis outside groups")
-    if axis.parameters.admittance is not None:
-        from canhaptic.scene.displays import display_properties
-
-        return build_display_controller(
-            axis.environment.parameters, axis.passivity.name, axis.passivity.parameters, display_properties(axis)
-        )
     if axis.guard:
         kind, known = load(_PROGRAMS, axis.guard, "guard"), axis.passivity.parameters
         is_known = isinstance(known, kind.parameters_type)
@@ -133,16 +125,57 @@ def build_axis_controller(axis: AxisScene) -> Controller:
     )
 
 
+def controller_of(scene: Scene, port: PortScene) -> Any:
+    """Return the controller of a port of a scene, at rest.
+
+    Raises:
+        ParameterError: What it renders, kinematics and axes do not fit together, or a value is missing.
+    """
+    (axis, *others), by = port.axes, port.passivity
+    if axis.guard == FAR:
+        return build_far_port(scene, axis)
+    check_kinematics(port)
+    if mixed := [of.parameters.name for of in others if of.parameters.causality.kind != port.causality.kind]:
+        text = f"{port.name!r} renders on {axis.parameters.name}, {port.causality.kind}, and on {', '.join(mixed)}"
+        raise ParameterError(f"{text}; expected axes of one kind")
+    if port.causality is not IMPEDANCE:
+        from canhaptic.scene.displays import display_controller
+
+        return display_controller(port)
+    if not port.section:
+        return build_axis_controller(axis)
+    loops = [loop_as_known(of) for of in port.axes]
+    kinematics = cast("Kinematics", port.kinematics.parameters)  # every class of KINEMATICS is one
+    network = cast("NetworkEnvironment", port.rendered.parameters)  # every class of NETWORKS is one
+    return build_group_controller(network, kinematics, by.name, by.parameters, loops)
+
+
+def check_kinematics(port: PortScene) -> None:
+    """Refuse a port whose kinematics have another number of axes.
+
+    Raises:
+        ParameterError: The numbers differ.
+    """
+    count = getattr(port.kinematics.parameters, "axes", 1)
+    if count != len(port.axes):
+        names = ", ".join(axis.parameters.name for axis in port.axes)
+        text = f"kinematics {port.kinematics.name!r} has {count} motor axes"
+        raise ParameterError(f"{text}, expected the {len(port.axes)} of the group: {names}")
+
+
 def build_ports(scene: Scene) -> list[Port]:
     """Return the ports of a scene, at rest: the axes outside groups, then the groups."""
-    known = scene.ports
-    alone, several = known[: len(known) - len(scene.groups)], known[len(known) - len(scene.groups) :]
-    ports = [Port(of.name, of.places, of.places[0], _alone(scene, scene.axes[of.places[0]])) for of in alone]
-    return [*ports, *(_several(scene, n, of.places) for n, of in enumerate(several))]
+    row, ports = len(scene.axes), list[Port]()
+    for of in scene.ports:
+        controller = controller_of(scene, of)
+        if not of.section:
+            ports.append(Port(of.name, of.places, of.places[0], controller))
+            continue
+        from canhaptic.control.multi_axis.group_controller import AxisGroup
 
-
-def _alone(scene: Scene, axis: AxisScene) -> Controller:
-    return build_far_port(scene, axis) if axis.guard == FAR else build_axis_controller(axis)
+        ports.append(AxisGroup(of.name, of.places, row, controller))
+        row += 1
+    return ports
 
 
 def build_far_port(scene: Scene, axis: AxisScene) -> "FarPort":
@@ -158,13 +191,6 @@ def build_far_port(scene: Scene, axis: AxisScene) -> "FarPort":
         text = f"{axis.parameters.name}: got algorithm {axis.passivity.name}, expected guarded: a far side is rendered"
         raise ParameterError(f"{text} by what is certified of the hand and the device")
     return FarPort(cast("FarParameters", scene.far), known, loop_as_known(axis))
-
-
-def _several(scene: Scene, number: int, places: Sequence[int]) -> Port:
-    from canhaptic.control.multi_axis.group_controller import AxisGroup
-
-    of = scene.groups[number]
-    return AxisGroup(of.name, places, len(scene.axes) + number, build_group(scene, of))
 
 
 def build_axis_meters(scene: Scene) -> list[AxisMeter]:
@@ -185,35 +211,6 @@ def _axis_meter(axis: AxisScene, scene: Scene) -> AxisMeter:
     from canhaptic.control.motion_checks import FrictionWatch
 
     return AxisMeter(accuracy, environment, FrictionWatch(declared))
-
-
-def build_group(scene: Scene, group: GroupScene) -> "GroupController":
-    """Return the controller of a group.
-
-    Raises:
-        ParameterError: Network, kinematics and axes do not fit together, or a value is missing.
-    """
-    check_group(group)
-    if any(scene.axis(name).parameters.admittance is not None for name in group.axes):
-        from canhaptic.scene.displays import build_group_of_displays
-
-        return build_group_of_displays(scene, group)
-    loops = [loop_as_known(scene.axis(name)) for name in group.axes]
-    kinematics = cast("Kinematics", group.kinematics.parameters)  # every class of KINEMATICS is one
-    network = cast("NetworkEnvironment", group.network.parameters)  # every class of NETWORKS is one
-    return build_group_controller(network, kinematics, group.passivity.name, group.passivity.parameters, loops)
-
-
-def check_group(group: GroupScene) -> None:
-    """Refuse a group whose kinematics have another number of axes.
-
-    Raises:
-        ParameterError: The numbers differ.
-    """
-    kinematics = cast("Kinematics", group.kinematics.parameters)
-    if kinematics.axes != len(group.axes):
-        text = f"kinematics {group.kinematics.name!r} has {kinematics.axes} motor axes"
-        raise ParameterError(f"{text}, expected the {len(group.axes)} of the group: {', '.join(group.axes)}")
 
 
 def lateness_of(axis: AxisScene) -> float:

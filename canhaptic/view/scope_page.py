@@ -246,7 +246,7 @@ def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dic
     Lines are straight, not steps, because the values between decimated rows are unknown.
     """
     units, panel, name, panels = facts.units, partial(panel_of, time, source), facts.name, dict[str, figure]()
-    if not facts.is_group:
+    if facts.has_motion:
         lines = [line_of("position", "position", BLUE)]
         panels["position"] = panel(f"{name}: position", units["position"], 190, lines, {"position": "position"})
         for wall, side in facts.walls:
@@ -264,7 +264,7 @@ def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dic
         lines.insert(0, line_of("command", _REQUESTED, ORANGE, 2.5, alpha=0.8))
         labels[_REQUESTED] = "command"
     panels["torque"] = panel(f"{name}: {'torque' if effort == 'N*m' else 'force'}", effort, 190, lines, labels)
-    if not facts.is_member:
+    if facts.has_account:
         lines = [_known("surplus", "surplus"), _known("deficit", "deficit", 1.0, line_dash=[6, 3])]
         damping = [_known("damping", "damping_rendered", 1.2)]
         panels |= {
@@ -341,7 +341,7 @@ class ScopePage:
         self._status.text = _status(news, self._last or news)
 
     def _build(self, news: News) -> None:
-        groups_first = sorted(news.facts, key=lambda name: not news.facts[name].is_group)
+        groups_first = sorted(news.facts, key=lambda name: news.facts[name].has_motion)
         self._ports = {name: _LivePort(news, name, self._time, self._window) for name in groups_first}
         timing, lost = (ColumnDataSource({name: [] for name in ("time", *of)}) for of in (news.timing, news.lost))
         self._common = {
@@ -368,7 +368,7 @@ class _LivePort:
         self._faults = ColumnDataSource({"at": [], "text": []})
         self._in_contact: list[tuple[float, float]] = []
         self._name = name
-        self._is_shaded = not news.facts[name].is_member
+        self._is_shaded = news.facts[name].has_account
         self.panels = _port_panels(news.facts[name], time, self._source)
         self._states = _states(news, name, time)
         over_time = list(self.panels.items())
@@ -494,7 +494,7 @@ _LOOKS_A_PLANE: Final = 25
 def _states(news: News, name: str, time: Range) -> StatePanels | None:
     """Return lane and spectrum of an axis; None of a group, which has no torque of its own."""
     facts = news.facts[name]
-    if facts.is_group:
+    if not facts.has_motion:
         return None
     unit = facts.units["applied"]
     panel = new_panel(f"{name}: spectrum", unit, DataRange1d(range_padding=0.0), 150)

@@ -86,8 +86,8 @@ class PortFacts(NamedTuple):
     """Constants of a port that its panels need before the first row."""
 
     name: str
-    is_group: bool  # of axes: it has no position
-    is_member: bool  # an axis of a group, whose account is the group's
+    has_motion: bool  # it is an axis
+    has_account: bool  # of its own
     units: dict[str, str]  # SI unit of each column
     walls: list[tuple[float, str]]  # where each begins [m or rad], and on which side its inside is: below or above
     notches: list[float]  # of detents, around the first one [m or rad]
@@ -115,8 +115,8 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
     reach = 0.49 * _MOST_NOTCHES * pitch
     limit = log.number(f"{name}.torque_limit", math.inf)
     notches = notches_of(log, name, start - reach, start + reach)
-    walls, plane = walls_of(log, name), plane_of(log, name) if name in log.groups else None
-    return PortFacts(name, name in log.groups, name in log.group_of, units, walls, notches, limit, plane)
+    walls, plane = walls_of(log, name), None if name in log.axes else plane_of(log, name)
+    return PortFacts(name, name in log.axes, name in log.accounts, units, walls, notches, limit, plane)
 
 
 _MOST_NOTCHES: Final = 200

@@ -31,7 +31,7 @@ from canhaptic.errors import (
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build, experiment_account
-from canhaptic.scene.hints import display_hints
+from canhaptic.scene.hints import hints_of
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import require_no_guesses
 from canhaptic.sim.drive.profile.state_machine import DriveState
@@ -75,7 +75,7 @@ def test_a_display_keeps_its_promise_where_holds_are_as_uneven_as_declared(jitte
 
 
 def test_a_declared_jitter_raises_the_mass_felt_and_lowers_the_speed_of_the_start() -> None:
-    even, uneven = ({hint.what: hint.limit or 0.0 for hint in display_hints(load_scene(SCENE, values))}
+    even, uneven = ({hint.what: hint.limit or 0.0 for hint in hints_of(load_scene(SCENE, values))}
                     for values in ((), ("passivity.sync_jitter=20 %",)))  # fmt: skip
     drive_mass, start = 2.1, "speed of the first step from rest"
     least = "mass felt at the first move, at least"
@@ -85,7 +85,7 @@ def test_a_declared_jitter_raises_the_mass_felt_and_lowers_the_speed_of_the_star
 
 def test_a_drive_with_an_integral_certifies_no_uneven_hold_and_the_check_says_so() -> None:
     overrides = ("axes.0.admittance.mode=position", "passivity.integral_gain=6600", "passivity.sync_jitter=1 %")
-    assert any(hint.exceeded and "integral" in hint.text for hint in display_hints(load_scene(SCENE, overrides)))
+    assert any(hint.exceeded and "integral" in hint.text for hint in hints_of(load_scene(SCENE, overrides)))
     assert _run(*overrides, cycles=300)[0]["ports"]["handle"]["certificate"] == "none"
 
 

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -169,10 +170,10 @@ def test_an_algorithm_that_lacks_something_takes_the_plant_or_is_refused_with_it
 
 def test_what_two_algorithms_have_in_common_is_kept(scene):
     loaded = scene("passivity={algorithm: internal_dissipation, alpha: 200 s/m^2, velocity: windowed}")
-    axis = loaded.axes[0]
-    assert with_algorithm(axis, "guarded").passivity.parameters.alpha == 200.0
-    assert with_algorithm(axis, "unprotected").passivity.parameters.velocity == "windowed"
-    assert with_algorithm(axis, "internal_dissipation") is axis
+    [port], [axis] = loaded.ports, loaded.axes
+    kept: list[Any] = [with_algorithm(port, name).passivity.parameters for name in ("guarded", "unprotected")]
+    assert (kept[0].alpha, kept[1].velocity) == (200.0, "windowed")
+    assert with_algorithm(port, "internal_dissipation") is port
     heavy = replace(loaded, axes=(replace(axis, loop=axis.loop.model_copy(update={"moving_mass": 0.2})),))
     told = under(heavy, "energy_bounding").permitted().axes[0].loop  # which needs the damping of the device
     assert (told.moving_mass, told.device_damping) == (0.2, 0.1)

@@ -11,7 +11,6 @@ from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.motion_checks import MassAsked, MassFelt
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.scene.displays import (
-    build_group_of_displays,
     display_faults,
     display_properties,
     mass_felt,
@@ -19,6 +18,7 @@ from canhaptic.scene.displays import (
 )
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.parts import controller_of
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -163,8 +163,8 @@ def test_a_command_for_impedance_displays_names_those_that_are_none() -> None:
 
 def test_a_group_is_of_one_kind() -> None:
     scene = loaded("admittance/guided_path.yaml")
-    assert build_group_of_displays(scene, scene.groups[0]) is not None
+    assert controller_of(scene, scene.ports[0]) is not None
     last = scene.axes[1]
     other = replace(last, parameters=last.parameters.model_copy(update={"admittance": None}))
-    with pytest.raises(ParameterError, match="group 'stage' mixes admittance displays and y; expected one kind"):
-        build_group_of_displays(replace(scene, axes=(scene.axes[0], other)), scene.groups[0])
+    with pytest.raises(ParameterError, match="'stage' renders on x, an admittance display, and on y; expected axes"):
+        controller_of(scene, replace(scene, axes=(scene.axes[0], other)).ports[0])

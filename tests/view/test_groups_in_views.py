@@ -62,8 +62,8 @@ def test_the_truths_of_the_parts_of_a_run_add_up_to_that_of_the_whole(path: Path
 def test_only_what_a_port_has_is_drawn(path: Path) -> None:
     with EnergyLog.open(path) as log:
         stage, x = (port_facts(log, name) for name in ("stage", "x"))
-    assert (stage.is_group, stage.is_member) == (True, False)
-    assert (x.is_group, x.is_member) == (False, True)
+    assert (stage.has_motion, stage.has_account) == (False, True)
+    assert (x.has_motion, x.has_account) == (True, False)
 
 
 @pytest.mark.slow
@@ -71,7 +71,7 @@ def test_a_look_at_a_growing_log_knows_groups(path: Path) -> None:
     news = LiveLog(path).look()
     assert news is not None
     assert list(news.accounts) == ["stage"]
-    assert [name for name, facts in news.facts.items() if facts.is_group] == ["stage"]
+    assert [name for name, facts in news.facts.items() if not facts.has_motion] == ["stage"]
     assert news.fresh_share == 1.0
 
 

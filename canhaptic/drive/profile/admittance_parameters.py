@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 from pydantic import field_validator, model_validator
 
 from canhaptic.canopen import objects as od
+from canhaptic.drive.profile.causality import ADMITTANCE
 from canhaptic.drive.profile.drive_objects import DRIVE_OBJECTS
 from canhaptic.units import OnDemand, Parameters, quantity
 
@@ -86,7 +87,7 @@ class ForceParameters(Parameters):
     def place(self) -> tuple[int, int] | None:
         """(index, subindex) of the object; None for a sensor with its own node."""
         match = _OBJECT.fullmatch(self.object or "")
-        return None if match is None else (int(match.group(1), 16), int(match.group(2) or "0", 16))
+        return None if match is None else (int(match[1], 16), int(match[2] or "0", 16))
 
 
 class AdmittanceParameters(Parameters):
@@ -118,7 +119,7 @@ class AdmittanceParameters(Parameters):
             raise ValueError(f"position_low is {low}, expected less than position_high ({high})")
         return self
 
-    kind: ClassVar[str] = "an admittance display"
+    kind: ClassVar[str] = ADMITTANCE
     target_type: ClassVar[od.DataType] = od.DataType.INTEGER32
     offsets: ClassVar[tuple[int, ...]] = (od.POSITION_OFFSET, od.VELOCITY_OFFSET, od.TORQUE_OFFSET)
     owned: ClassVar[frozenset[int]] = frozenset(index for index, _ in DRIVE_OBJECTS)

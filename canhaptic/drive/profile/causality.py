@@ -9,6 +9,9 @@ from typing import Final, Literal
 
 from canhaptic.canopen import objects as od
 
+ADMITTANCE: Final = "an admittance display"
+"""`kind` of an axis whose drive takes velocities and shows forces."""
+
 
 class _NoForce:
     place = node = None

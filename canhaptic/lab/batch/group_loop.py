@@ -34,12 +34,12 @@ from canhaptic.lab.batch import plants as event_plant
 from canhaptic.lab.batch.closed_loop import CycleState, LinearMotors, Loops, LoopSettings, Room, Signals
 from canhaptic.lab.batch.plants import EventMotors
 from canhaptic.lab.figures.meter import Meter, MeterSettings, count_branch, take_energy
-from canhaptic.lab.loop.axis_loop import EVERYWHERE, mechanism_of_group
+from canhaptic.lab.loop.axis_loop import EVERYWHERE, mechanism_moved
 from canhaptic.registry import load
 from canhaptic.scene.far_side import build_mechanism, build_plant
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, MechanismScene, Scene
-from canhaptic.scene.parts import check_group, loop_as_known
+from canhaptic.scene.parts import check_kinematics, loop_as_known
 from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel
 from canhaptic.sim.plant.mechanism import SharedMechanism
@@ -290,7 +290,7 @@ def motors_of(scene: Scene, axes: Sequence[AxisScene]) -> Motors:
     Raises:
         InputError: The motors are not simulated, or their mechanism also moves other axes.
     """
-    of, time = mechanism_of_group(scene), scene.bus.sample_time_ns
+    of, time = mechanism_moved(scene), scene.bus.sample_time_ns
     if of is None:
         return Motors([build_plant(simulation_of(axis), time) for axis in axes], time)
     shared = SharedMechanism(build_mechanism(of, time), len(axes))
@@ -307,7 +307,7 @@ class GroupPlant(NamedTuple):
 
 def _plant_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> GroupPlant | str:
     """Return the motors of a group in the form of its loop, or the reason why there is none; see `motors_of`."""
-    of, time = mechanism_of_group(scene), scene.bus.sample_time_ns
+    of, time = mechanism_moved(scene), scene.bus.sample_time_ns
     if of is not None:
         return _of_mechanism(build_mechanism(of, time), [of.axes.index(axis.parameters.name) for axis in axes], of)
     simulations = [simulation_of(axis) for axis in axes]
@@ -416,7 +416,7 @@ class GroupCase(NamedTuple):
 
     def with_objects(self, scene: Scene) -> "GroupCase":
         """Return the same group with its plants as objects, which apply all effects themselves."""
-        axes = [scene.axis(name) for name in scene.groups[0].axes]
+        axes = scene.ports[0].axes
         motors_of(scene, axes)  # refuses what cannot be built before a run would count it as diverged
         motors = GroupPlant(lambda _listed: motors_of(scene, axes), OBJECTS)
         return self._replace(motors=motors, loops=[replace(loop, signals=Signals()) for loop in self.loops])
@@ -440,14 +440,14 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
         InputError: The motors are not simulated, or their mechanism also moves other axes.
         ParameterError: The group cannot be built.
     """
-    (group,) = scene.groups
-    check_group(group)
-    axes = [scene.axis(name) for name in group.axes]
+    [port] = scene.ports
+    check_kinematics(port)
+    axes = port.axes
     loops = tuple(loop_as_known(axis) for axis in axes)
-    environment, kinematics = (cast(Any, part.parameters) for part in (group.network, group.kinematics))
+    environment, kinematics = (cast(Any, part.parameters) for part in (port.rendered, port.kinematics))
     world = group_kernel.world_of(cast(NetworkEnvironment, environment), cast(Kinematics, kinematics), loops)
-    kernel: Kernel = load(GROUP_ALGORITHMS, group.passivity.name, "group algorithm").kernel
-    settings = kernel.settings(world, group.passivity.parameters, loops)
+    kernel: Kernel = load(GROUP_ALGORITHMS, port.passivity.name, "group algorithm").kernel
+    settings = kernel.settings(world, port.passivity.parameters, loops)
     bare = tuple(loop.model_copy(update={"encoder_count": 0.0}) for loop in loops)
     true = group_kernel.motion_settings(world, bare)
     of_motors = [_loop_of(axis, scene.bus) for axis in axes]

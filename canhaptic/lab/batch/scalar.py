@@ -54,7 +54,7 @@ from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
-from canhaptic.scene.parts import build_axis_controller, build_group
+from canhaptic.scene.parts import controller_of
 from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
@@ -321,10 +321,9 @@ class _DisplayControl:
     """Controller of displays, with what it measured at the last SYNC."""
 
     def __init__(self, scene: Scene) -> None:
-        self.displays, self.is_group = [_Display(axis, scene) for axis in scene.axes], bool(scene.groups)
-        self.controller: Any = (
-            build_group(scene, scene.groups[0]) if self.is_group else build_axis_controller(scene.axes[0])
-        )
+        [port] = scene.ports
+        self.displays, self.is_group = [_Display(axis, scene) for axis in port.axes], bool(scene.groups)
+        self.controller: Any = controller_of(scene, port)
         self.seen, self.motion = [nan] * len(self.displays), list[list[float]]()
         self.reason = ""  # why the rig stops
 

@@ -283,8 +283,8 @@ def _most(values: Array) -> float:
 
 def figures_of(run: AdmittanceRun, scene: Scene) -> dict[str, float]:
     """Return all figures of a run of an admittance display or group."""
-    part = scene.groups[0].network if scene.groups else scene.axes[0].environment
-    asked = getattr(part.parameters, "inertia", getattr(part.parameters, "mass", None)) or 0.0
+    known = scene.ports[0].rendered.parameters
+    asked = getattr(known, "inertia", getattr(known, "mass", None)) or 0.0
     display = _Display(run, run.motion, felt(run, scene), float(asked), run.shares())
     return {name: float(figure.of(display)) for name, figure in DISPLAY_METRICS.items()}
 

@@ -44,18 +44,18 @@ def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
     from walls and position limits. NaN where there is too little motion, and for a path, because its mass depends on
     the direction.
     """
-    if scene.groups and scene.groups[0].network.name != "virtual_mass":
+    if len(scene.axes) > 1 and scene.ports[0].rendered.name != "virtual_mass":
         return float("nan"), float("nan")
     motion, time = run.motion[20:], scene.bus.sample_time
     if len(motion) < _FEWEST or not np.isfinite(motion).all() or np.ptp(motion[:, :, 1]) < _STILL:
         return float("nan"), float("nan")
-    environment: Any = (scene.groups[0].network if scene.groups else scene.axes[0].environment).parameters
+    environment: Any = scene.ports[0].rendered.parameters
     rows, forces = [], []
     axes = motion.shape[1]
     for place in range(axes):
         position, speed, force = motion[1:-1, place, :].T
         rise = (motion[2:, place, 1] - motion[:-2, place, 1]) / (2.0 * time)
-        part = environment.of_axis(place) if scene.groups else environment
+        part = environment.of_axis(place)
         spring = getattr(part, "stiffness", 0.0) * (position - getattr(part, "rest", 0.0))
         near = float(np.abs(speed).max()) * (3.0 * time + 10e-3)  # in which a drive stops
         is_free = _is_free(scene, place, position, near)
@@ -70,8 +70,8 @@ def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
 
 def _is_free(scene: Scene, place: int, position: Array, near: float) -> NDArray[np.bool_]:
     """Return at which SYNCs an axis is farther than `near` from its walls and limits, shape (n,)."""
-    environment: Any = (scene.groups[0].network if scene.groups else scene.axes[0].environment).parameters
-    environment = environment.of_axis(place) if scene.groups else environment
+    rendered: Any = scene.ports[0].rendered.parameters
+    environment = rendered.of_axis(place)
     display = scene.axes[place].parameters.admittance
     low, high = getattr(display, "position_low", None), getattr(display, "position_high", None)
     low = max(environment.lower_wall, -np.inf if low is None else low)

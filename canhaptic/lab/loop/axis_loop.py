@@ -11,27 +11,26 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, NamedTuple, TypeVar, cast
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from canhaptic.audit.why.ripple import variation
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.balance import Branch, EnergyBalance, residual
 from canhaptic.control.environments import Environment
 from canhaptic.control.ledger import Ledger, LedgerSummary
-from canhaptic.control.multi_axis import GROUP_ALGORITHMS
-from canhaptic.control.passivity import ALGORITHMS, Controller, LoopProperties, build_controller
+from canhaptic.control.passivity import Controller, LoopProperties, build_controller
 from canhaptic.drive.clock import ProcessorClock
+from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import new
-from canhaptic.registry import load
-from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.components import ComponentOf, ComponentSpec
 from canhaptic.scene.displays import refuse_displays
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.method import simulation_of
-from canhaptic.scene.models import AxisScene, AxisSimulation, GroupScene, MechanismScene, Scene
+from canhaptic.scene.models import ALGORITHM, AxisScene, AxisSimulation, MechanismScene, Port, Scene
+from canhaptic.scene.parts import controller_of
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import UserParameters
@@ -269,32 +268,23 @@ def require_single_axes(scene: Scene, command: str) -> None:
 
 
 def parts_of(scene: Scene) -> dict[str, Scene]:
-    """Split a scene into its parts, axes outside groups and groups: name -> scene with only that part."""
-    alone = {
-        axis.parameters.name: replace(scene, axes=(axis,), groups=(), mechanisms=())
-        for axis in scene.axes
-        if not axis.group
-    }
-    for group in scene.groups:
-        axes = tuple(axis for axis in scene.axes if axis.group == group.name)
-        moved = tuple(of for of in scene.mechanisms if not set(of.axes).isdisjoint(group.axes))
-        alone[group.name] = replace(scene, axes=axes, groups=(group,), mechanisms=moved)
-    return alone
+    """Split a scene into its ports: name -> scene with only that port."""
+    return {port.name: scene.alone(port) for port in scene.ports}
 
 
-def mechanism_of_group(scene: Scene) -> MechanismScene | None:
-    """Return the mechanism of a scene's only group; None where each of its axes has a separate plant.
+def mechanism_moved(scene: Scene) -> MechanismScene | None:
+    """Return the mechanism of a scene with one port; None where each of its axes has a separate plant.
 
     Raises:
-        InputError: The mechanism also moves other axes, or not all axes of the group.
+        InputError: The mechanism also moves other axes, or not all axes of the port.
     """
-    (group,) = scene.groups
+    names = [axis.parameters.name for axis in scene.axes]
     if not scene.mechanisms:
         return None
     (of, *others) = scene.mechanisms
-    if others or set(of.axes) != set(group.axes):
+    if others or set(of.axes) != set(names):
         raise InputError(
-            f"{scene.source}: group {group.name!r} moves the axes {', '.join(group.axes)}, its mechanism "
+            f"{scene.source}: group {scene.ports[0].name!r} moves the axes {', '.join(names)}, its mechanism "
             f"{', '.join(of.axes)}; expected the same axes: use canhaptic run, which moves all of them"
         )
     return of
@@ -364,64 +354,45 @@ PLANT_OF: Final = {"moving_mass": "mass", "device_damping": "damping", "device_d
 """Declared property of the loop -> parameter of the simulated plant with its true value."""
 
 
-_Part = TypeVar("_Part", AxisScene, GroupScene)
-
-
-_TABLES: Final[Mapping[tuple[type, bool], tuple[Mapping[str, str], str]]] = {
-    (AxisScene, False): (ALGORITHMS, "passivity algorithm"),
-    (GroupScene, False): (GROUP_ALGORITHMS, "group algorithm"),
-    (AxisScene, True): (DISPLAY_ALGORITHMS, "admittance algorithm"),
-    (GroupScene, True): (DISPLAY_ALGORITHMS, "algorithm of several admittance displays"),
-}
-"""Kind of part, and whether it is a display -> its algorithms, and their kind in messages."""
-
-
 def chosen_algorithms(
-    algorithms: Sequence[str] | None, part: type = AxisScene, *, displays: bool = False, own: Sequence[str] = ()
+    algorithms: Sequence[str] | None, table: ComponentOf = ALGORITHM, own: Sequence[str] = ()
 ) -> list[str]:
-    """Return the requested algorithms without repetitions; for None all of them, of axes `guarded` first.
+    """Return the requested algorithms without repetitions; for None all of them, `guarded` first.
 
     Args:
         algorithms: Requested names.
-        part: `AxisScene` or `GroupScene`.
-        displays: Whether it is an admittance display.
+        table: Algorithms of the ports.
         own: Names of user-defined algorithms, which are permitted as well; for None they come before the others.
 
     Raises:
         ParameterError: A name is unknown.
     """
-    table, kind = _TABLES[part, displays]
-    first = () if displays or part is GroupScene else (*own, "guarded")
-    chosen = list(dict.fromkeys(algorithms or (*first, *table)))
+    chosen = list(dict.fromkeys(algorithms or (*own, "guarded", *table.table)))
     for name in chosen:
         if name not in own:
-            load(table, name, kind)
+            table.model_named(name)
     return chosen
 
 
-def with_algorithm(part: _Part, name: str, *, displays: bool = False) -> _Part:
-    """Return an axis or group under another algorithm; parameters that both have (alpha, ...) are kept.
+def with_algorithm(port: Port, name: str) -> Port:
+    """Return a port under another algorithm; parameters that both have (alpha, ...) are kept.
 
-    Args:
-        part: The axis or group.
-        name: Name of the algorithm.
-        displays: Whether it is an admittance display, which takes the default parameters of the algorithm.
+    An algorithm of an admittance display takes its default parameters.
 
     Raises:
         ParameterError: The algorithm needs parameters that the scene does not give.
     """
-    if part.passivity.name == name:
-        return part
-    (table, kind), given = _TABLES[type(part), displays], part.passivity.parameters
-    model = load(table, name, kind).parameters_type
-    common = [key for key in model.model_fields if not displays and key in type(given).model_fields]
+    if port.passivity.name == name:
+        return port
+    given, model = port.passivity.parameters, port.algorithms.model_named(name)
+    kept = type(given).model_fields.keys() if port.causality is IMPEDANCE else ()
     try:
-        parameters = model().model_copy(update={key: getattr(given, key) for key in common})
+        parameters = model().model_copy(update={key: getattr(given, key) for key in model.model_fields if key in kept})
     except ValueError as error:
         raise ParameterError(
             f"{name}: needs parameters that the scene does not give; compare it on a scene that has them"
         ) from error
-    return replace(part, passivity=ComponentSpec(name, parameters))
+    return port._replace(passivity=ComponentSpec(name, parameters))
 
 
 class UnderAlgorithm(NamedTuple):
@@ -442,28 +413,23 @@ class UnderAlgorithm(NamedTuple):
         return self.scene
 
 
-def is_display(scene: Scene) -> bool:
-    """Return whether all axes of a scene are admittance displays."""
-    return all(axis.parameters.admittance is not None for axis in scene.axes)
-
-
 def under(scene: Scene, name: str) -> UnderAlgorithm:
-    """Return a scene with its groups, and its axes outside groups, under an algorithm.
+    """Return a scene with all its ports under an algorithm.
 
     Properties that it needs of an axis and lacks are taken from the simulated plant.
 
     Raises:
         ParameterError: The algorithm refuses the scene even with these properties.
     """
-    axes, remark, from_plant = [], "", tuple[str, ...]()
-    for axis in scene.axes:
-        chosen, taken = (axis, ()) if axis.group else _able(axis, name, scene)
-        axes.append(chosen)
+    remark, from_plant = "", tuple[str, ...]()
+    for port in scene.ports:
+        chosen, taken = _able(scene, with_algorithm(port, name))
+        scene = scene.with_port(chosen)
         if taken:
-            shown = [f"{key} {getattr(chosen.loop, key):g}" for key in taken if key != "device_damping_bound"]
+            loop = chosen.axes[0].loop
+            shown = [f"{key} {getattr(loop, key):g}" for key in taken if key != "device_damping_bound"]
             remark, from_plant = f"taken from the simulated plant: {', '.join(shown)}", taken
-    groups = tuple(with_algorithm(group, name, displays=is_display(scene)) for group in scene.groups)
-    return UnderAlgorithm(replace(scene, axes=tuple(axes), groups=groups), remark, from_plant)
+    return UnderAlgorithm(scene, remark, from_plant)
 
 
 def tried(scene: Scene, name: str) -> UnderAlgorithm:
@@ -474,22 +440,30 @@ def tried(scene: Scene, name: str) -> UnderAlgorithm:
         return UnderAlgorithm(None, str(error).splitlines()[0])
 
 
-def _able(axis: AxisScene, name: str, scene: Scene) -> tuple[AxisScene, tuple[str, ...]]:
-    """Return an axis under an algorithm, and the names of the properties that were taken from its plant."""
-    displays = axis.parameters.admittance is not None
-    chosen = with_algorithm(axis, name, displays=displays)
-    if displays:
-        return chosen, ()
+def _able(scene: Scene, port: Port) -> tuple[Port, tuple[str, ...]]:
+    """Return a port, and the names of the properties of its axis that were taken from its plant."""
     try:
-        loop_case(chosen, scene).controller()
-        return chosen, ()
+        _build(scene, port)
+        return port, ()
     except ParameterError:
-        plant = simulation_of(chosen).plant
-        from_plant = tuple(key for key in PLANT_OF if getattr(chosen.loop, key) is None)
-        values = {key: getattr(plant, PLANT_OF[key]) for key in from_plant}
-        chosen = replace(chosen, loop=chosen.loop.model_copy(update=values))
-        loop_case(chosen, scene).controller()
-        return chosen, from_plant
+        if len(port.axes) > 1:
+            raise
+    [axis] = port.axes
+    from_plant = tuple(key for key in PLANT_OF if getattr(axis.loop, key) is None)
+    values = {key: getattr(simulation_of(axis).plant, PLANT_OF[key]) for key in from_plant}
+    port = port._replace(axes=(replace(axis, loop=axis.loop.model_copy(update=values)),))
+    _build(scene, port)
+    return port, from_plant
+
+
+def _build(scene: Scene, port: Port) -> None:
+    [with_it] = (of for of in scene.with_port(port).ports if of.name == port.name)
+    controller_of(scene, with_it)
+
+
+def is_display(scene: Scene) -> bool:
+    """Return whether all axes of a scene are admittance displays."""
+    return all(axis.parameters.admittance is not None for axis in scene.axes)
 
 
 _BLOCK: Final = 250

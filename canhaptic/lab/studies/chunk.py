@@ -120,7 +120,6 @@ class Recipe:
         beyond_bus: Whether rates that the bus could not carry are accepted.
         allow_code: Whether the program files that scenes name may run, here and in workers.
         own_code: (file or plug-in, SHA-256) of the scene's user code; a worker with different code refuses the scene.
-        displays: Whether every axis is an admittance display.
         is_alone: Whether scenes run one by one even if they fit a batch, as too few of them would share one.
     """
 
@@ -137,7 +136,6 @@ class Recipe:
     cycles: int | None = None
     beyond_bus: bool = False
     is_alone: bool = False
-    displays: bool = False
     allow_code: bool = False
     own_code: tuple[tuple[str, str], ...] = ()
 
@@ -171,13 +169,12 @@ def make_recipe(scene: Scene, points: Points, *, allow_code: bool = False, **opt
         tuple(places[v.key] for v in points.varied),
         tuple(axis_loop.parts_of(scene)),
         scene.simulation.seed if scene.simulation else 0,
-        displays=is_display(scene),
         allow_code=allow_code or bool(scene.own_code),
         own_code=tuple(scene.own_code.items()),
         **options,
     )
     for varied in recipe.varied:
-        _try_alone(recipe, varied)
+        _try_alone(recipe, scene, varied)
     return recipe
 
 
@@ -201,9 +198,6 @@ def scene_of(recipe: Recipe, row: Row) -> UnderAlgorithm:
         return UnderAlgorithm(None, _first_line(error))
     if controller is None:
         return UnderAlgorithm(scene)
-    if scene.groups:
-        name = scene.groups[0].name
-        return UnderAlgorithm(None, f"{CONTROLLER} {controller}: group {name!r} has algorithms of its own")
     return axis_loop.tried(scene, str(controller))
 
 
@@ -253,14 +247,15 @@ def _corners(free: list[Varied]) -> list[Row]:
     return [low, high, *near, *far]
 
 
-def _try_alone(recipe: Recipe, varied: Varied) -> None:
+def _try_alone(recipe: Recipe, scene: Scene, varied: Varied) -> None:
     """Refuse a value that is wrong by itself, for all values of the other keys.
 
     Raises:
         SceneError: A value is wrong; with the message of the scene.
     """
     if varied.key == CONTROLLER:
-        axis_loop.chosen_algorithms([str(value) for value in varied.values], displays=recipe.displays)
+        for port in scene.ports:
+            axis_loop.chosen_algorithms([str(value) for value in varied.values], port.algorithms)
         return
     for value in varied.ends:
         texts = _overrides(recipe, {varied.key: value}, with_unit=True)

@@ -15,7 +15,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.verdict import passive_verdict
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
@@ -27,7 +26,7 @@ from canhaptic.lab.loop.over_can import Progress, accounts_over_can, heading_of,
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
 from canhaptic.quantities import with_old_names
-from canhaptic.scene.models import AxisScene, GroupScene, Scene
+from canhaptic.scene.models import AxisScene, Scene
 
 _BATCH: Final = 64  # cycles between two reports of progress
 
@@ -65,12 +64,8 @@ def compared_algorithms(scene: Scene, algorithms: Sequence[str] | None) -> list[
     Raises:
         ParameterError: A name is unknown.
     """
-    if axis_loop.is_display(scene):
-        return axis_loop.chosen_algorithms(algorithms or list(DISPLAY_ALGORITHMS), displays=True)
-    if scene.groups:
-        return axis_loop.chosen_algorithms(algorithms, GroupScene)
     own = dict.fromkeys(axis.passivity.name for axis in scene.axes if axis.passivity.own is not None)
-    return axis_loop.chosen_algorithms(algorithms, own=list(own))
+    return axis_loop.chosen_algorithms(algorithms, scene.ports[0].algorithms, list(own))
 
 
 def compare(

@@ -145,8 +145,8 @@ def _scene(table: SweepTable, axis: str, controller: str, allow_code: bool) -> S
     scene = scene_from_text(table.note("scene"), table.note("source"), overrides, allow_code=allow_code)
     chosen = next(one for one in scene.axes if axis in (one.parameters.name, one.group))
     if controller:
-        chosen = with_algorithm(chosen, controller, displays=chosen.parameters.admittance is not None)
-    return replace(scene, axes=(chosen,))
+        scene = scene.with_port(with_algorithm(scene.port_of(chosen), controller))
+    return replace(scene, axes=(scene.axis(chosen.parameters.name),))
 
 
 def _unit_of(scene: Scene, key: str) -> str:

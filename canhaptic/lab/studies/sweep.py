@@ -185,7 +185,7 @@ def make_sweep(
         engine=chosen_engine(engine, pays=False), duration=duration, cycles=cycles, **options,
     )  # fmt: skip
     together = _together(recipe, points)
-    if together < _FEWEST_TOGETHER and not scene.groups and not recipe.displays:
+    if together < _FEWEST_TOGETHER and not _is_not_batchable(scene, controllers):
         recipe = replace(recipe, is_alone=True)
     least, most = _SCALAR_CHUNK if recipe.is_alone or _is_not_batchable(scene, controllers) else _BATCH_CHUNK
     each = recipe.cycles or cycles_of(scene, duration)
@@ -194,7 +194,7 @@ def make_sweep(
     if recipe.engine == "python":
         most = min(most, max(1, _CYCLES_IN_PYTHON // each))
     chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
-    is_slow = engine == "auto" and pays and not recipe.displays and bool(why_no_numba())  # displays: always Python
+    is_slow = engine == "auto" and pays and not is_display(scene) and bool(why_no_numba())  # displays: always Python
     return Asked(recipe, points, chunk, _identity(scene, recipe, points), engine == "auto", is_slow)
 
 
@@ -222,10 +222,8 @@ def _together(recipe: Recipe, points: Points) -> int:
 
 def _is_not_batchable(scene: Scene, controllers: Sequence[str]) -> bool:
     """Return whether some scenes must run one by one."""
-    if scene.groups or any(is_display(part) for part in parts_of(scene).values()):
-        return True
-    under = ((axis, name) for axis in scene.axes for name in controllers or (axis.passivity.name,))
-    return any(why_not_batchable(replace(scene, axes=(with_algorithm(*one),))) for one in under)
+    under = ((port, name) for port in scene.ports for name in controllers or (port.passivity.name,))
+    return any(why_not_batchable(scene.with_port(with_algorithm(*one)).alone(one[0])) for one in under)
 
 
 def _identity(scene: Scene, recipe: Recipe, points: Points) -> Row:

@@ -14,16 +14,16 @@ from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness
 from canhaptic.control.admittance.group_environment import GroupEnvironment, PathMass
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.environments.detents import Detents
-from canhaptic.control.multi_axis.unprotected_group import UnprotectedGroupParameters
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.guided_path import GuidedPath
 from canhaptic.control.port_hamiltonian.shapes.sphere import Sphere
+from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import InputError
-from canhaptic.lab.loop.axis_loop import under, with_algorithm
+from canhaptic.lab.loop.axis_loop import under
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.far_side import build_mechanism
 from canhaptic.scene.method import simulation_of
-from canhaptic.scene.models import AxisScene, FurtherBus, GroupScene, MechanismScene, Scene
+from canhaptic.scene.models import AxisScene, FurtherBus, MechanismScene, Port, Scene
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, PointerTaskHand, TaskHand
 from canhaptic.sim.plant.user import PointerHand, UserParameters
@@ -147,56 +147,35 @@ def on_two_buses(scene: Scene, axes: Sequence[AxisScene], sides: tuple[Side, Sid
     return replace(scene, bus=bus, bus_name=sides[0].name, further_buses=further, axes=tuple(axes), log=log, **parts)
 
 
+Shape = dict[str, Any]
+"""What the page shows of a port: fields of `TouchScene`."""
 _OVER: Final = 1.05
 """Ratio of declared to true values of a simulated drive for which the scene declares nothing."""
 
 
-def display_plane(scene: Scene, name: str) -> TouchScene:
-    """Return the handles of a plane: a group of two admittance displays, unprotected and protected.
-
-    Raises:
-        InputError: The group does not have two axes with kinematics `identity`.
-    """
-    index, group = next((i, one) for i, one in enumerate(scene.groups) if one.name == name)
-    if len(group.axes) != 2 or group.kinematics.name != "identity":
-        raise InputError(
-            f"{scene.source}: group {name!r} has {len(group.axes)} axes and kinematics {group.kinematics.name}; touch "
-            "shows one axis, or two axes in a plane; choose such a group, with `kinematics: identity`"
-        )
-    members = [scene.axis(axis) for axis in group.axes]
-    guarded = group if group.passivity.name != PLAIN else replace(group, passivity=_guard_of(*members))
-    both = (with_algorithm(group, PLAIN, displays=True), guarded)
-    sides = _side(both[0].passivity, group.axes), _side(guarded.passivity, group.axes)
-    axes = [_held_axis(axis, side, f"{side.name} {axis.parameters.name}") for side in sides for axis in members]
-    groups = tuple(replace(one, name=side.group, axes=side.axes) for one, side in zip(both, sides, strict=True))
-    hands, unit = [_hand_of(axis) for axis in members], members[0].parameters.unit
-    network: Any = group.network.parameters
-    shown = tuple(reach(user.motion, user.rest, start) for user, start in hands)
-    sliders = sliders_of(f"groups.{index}.network", (group.network,), unit)
-    return TouchScene(
-        on_two_buses(scene, axes, sides, groups=groups), sides, unit, shown, tuple(start for _, start in hands),
-        _box(network), sliders, path=_corners(network) if isinstance(network, PathMass) else (), is_display=True,
-    )  # fmt: skip
-
-
-def _side(passivity: ComponentSpec, axes: Sequence[str]) -> Side:
+def _side(port: Port) -> Side:
     """Return the description of a handle, named after its algorithm."""
-    name, allowance = passivity.name, float(getattr(passivity.parameters, "energy_allowance", 0.0))
-    return Side(name, tuple(f"{name} {axis}" for axis in axes), name, allowance)
+    by, names = port.passivity, [axis.parameters.name for axis in port.axes]
+    name = by.name if by.own is None else by.own.__name__
+    allowance = float(getattr(by.parameters, "energy_allowance", 0.0))
+    if not port.section:
+        return Side(name, (name,), allowance=allowance)
+    return Side(name, tuple(f"{name} {axis}" for axis in names), name, allowance)
 
 
 def _held_axis(axis: AxisScene, side: Side, port: str) -> AxisScene:
-    """Return an axis of one handle, held by the pointer.
+    """Return an axis of one handle, held by the pointer unless a mechanism is.
 
     Its check for a frozen force sensor is off, since a simulated sensor without noise is constant while the pointer
     rests.
     """
-    display = axis.parameters.admittance
+    display, simulation = axis.parameters.admittance, axis.simulation
     if display is not None:
         display = display.model_copy(update={"force": display.force.model_copy(update={"frozen_after": None})})
-    user, start = _hand_of(axis)
-    grip = {"stiffness": user.stiffness, "damping": user.damping} if user.stiffness else HAND
-    simulation = replace(simulation_of(axis), user=PointerHand(**grip, place=start))
+    if simulation is not None:
+        user, start = _hand_of(axis)
+        grip = {"stiffness": user.stiffness, "damping": user.damping} if user.stiffness else HAND
+        simulation = replace(simulation, user=PointerHand(**grip, place=start))
     return replace(_named(axis, side, port, admittance=display), group=side.group, simulation=simulation)
 
 
@@ -212,9 +191,17 @@ def _hand_of(axis: AxisScene) -> tuple[UserParameters, float]:
     return simulation.user or UserParameters(), simulation.plant.initial_position
 
 
-def _guard_of(*axes: AxisScene) -> ComponentSpec:
-    """Return `guarded` for admittance displays whose scene is unprotected, from the properties of the simulation."""
-    simulations = [simulation_of(axis) for axis in axes]
+def _guarded(alone: Scene) -> Scene:
+    """Return a scene with one port under its own algorithm, or `guarded` in place of none.
+
+    What admittance displays declare for `guarded` then follows from the simulation.
+    """
+    [port] = alone.ports
+    if port.passivity.name != PLAIN or port.passivity.own is not None:
+        return alone
+    if port.causality is IMPEDANCE:
+        return under(alone, GUARDED).permitted()
+    simulations = [simulation_of(axis) for axis in port.axes]
     loops = [one.admittance.loop for one in simulations if one.admittance is not None]
     known = GuardedAdmittanceParameters(
         drive_mass=_OVER * max(one.plant.mass for one in simulations),
@@ -222,7 +209,7 @@ def _guard_of(*axes: AxisScene) -> ComponentSpec:
         integral_gain=_OVER * max((loop.integral_gain for loop in loops), default=0.0),
         energy_allowance=1e-3,
     )
-    return ComponentSpec(GUARDED, known)
+    return alone.with_port(port._replace(passivity=ComponentSpec(GUARDED, known)))
 
 
 def _box(network: GroupEnvironment) -> tuple[tuple[float, float], ...]:
@@ -258,46 +245,46 @@ def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
     name = axis or names[0]
     if name not in names:
         raise InputError(f"{scene.source}: --axis: got {name!r}, expected one of: {', '.join(names)}")
-    chosen = scene.axis(name)
-    if not chosen.group:
-        return _line(scene, chosen)
-    return (_plane if chosen.parameters.admittance is None else display_plane)(scene, chosen.group)
+    port = scene.port_of(scene.axis(name))
+    alone = scene.alone(port)
+    is_box = isinstance(port.rendered.parameters, GroupEnvironment)
+    shape = (_line if len(port.axes) == 1 else _of_walls if is_box else _plane)(scene, port)
+    both = [one.ports[0] for one in (under(alone, PLAIN).permitted(), _guarded(alone))]
+    sides = _side(both[0]), _side(both[1])
+    pairs = list(zip(both, sides, strict=True))
+    axes = [_held_axis(axis, side, at) for one, side in pairs for axis, at in zip(one.axes, side.axes, strict=True)]
+    groups = tuple(
+        replace(group, name=side.group, axes=side.axes, passivity=one.passivity)
+        for one, side in pairs
+        for group in alone.groups
+    )
+    mechanisms = [_held(of, port.axes, side, shape["start"]) for side in sides for of in alone.mechanisms]
+    rig = on_two_buses(scene, axes, sides, groups=groups, mechanisms=tuple(mechanisms))
+    return TouchScene(rig, sides, is_display=port.causality is not IMPEDANCE, **shape)
 
 
 # --- along an axis ------------------------------------------------------------------------------------------------
 
 
-def _line(scene: Scene, axis: AxisScene) -> TouchScene:
-    """Return the handles of one axis or admittance display: unprotected, and under the algorithm of the scene."""
-    is_display = axis.parameters.admittance is not None
-    if is_display:
-        plain = with_algorithm(axis, PLAIN, displays=True)
-        guarded = axis if axis.passivity.name != PLAIN else replace(axis, passivity=_guard_of(axis))
-    else:
-        alone = replace(scene, axes=(axis,), groups=())
-        [plain] = under(alone, PLAIN).permitted().axes
-        [guarded] = (axis,) if axis.passivity.name != PLAIN else under(alone, GUARDED).permitted().axes
-    own, allowance = guarded.passivity.own, _side(guarded.passivity, ()).allowance
-    name = guarded.passivity.name if own is None else own.__name__
-    name = name if name != PLAIN else GUARDED
-    sides = (Side(PLAIN, (PLAIN,)), Side(name, (name,), allowance=allowance))
-    axes = [_held_axis(one, side, side.axes[0]) for one, side in zip((plain, guarded), sides, strict=True)]
+def _line(_: Scene, port: Port) -> Shape:
+    """Return what the page shows of one axis."""
+    [axis], parts = port.axes, port.rendered.parts or (port.rendered,)
     user, start = _hand_of(axis)
     shown = reach(user.motion, user.rest, start)
-    parts = axis.environment.parts or (axis.environment,)
     notched: Any = next((part.parameters for part in parts if isinstance(part.parameters, Detents)), None)
     notches = () if notched is None else (notched.position, notched.pitch)
-    environment: Any = axis.environment.parameters
-    if is_display or (hasattr(environment, "rests") and axis.environment.parts):
-        rests = (environment.lower_wall, environment.upper_wall) if is_display else environment.rests()
-        solid = tuple((low, high) for low, high in ((shown[0], rests[0]), (rests[1], shown[1])) if low < high)
+    environment: Any = port.rendered.parameters
+    if hasattr(environment, "lower_wall"):
+        solid = _beyond(shown, environment.lower_wall, environment.upper_wall)
+    elif hasattr(environment, "rests") and port.rendered.parts:
+        solid = _beyond(shown, *environment.rests())
     else:
         solid = () if notches else _solid(environment, shown)
     sliders = sliders_of("environment", parts, axis.parameters.unit)
-    return TouchScene(
-        on_two_buses(scene, axes, sides), sides, axis.parameters.unit, (shown,), (start,), solid, sliders,
-        is_display=is_display, notches=notches,
-    )  # fmt: skip
+    return {
+        "unit": axis.parameters.unit, "shown": (shown,), "start": (start,), "solid": solid, "sliders": sliders,
+        "notches": notches,
+    }  # fmt: skip
 
 
 def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, float], ...]:
@@ -308,60 +295,70 @@ def _solid(environment: Any, shown: tuple[float, float]) -> tuple[tuple[float, f
     return () if len(runs) == 1 and len(runs[0]) == 2001 else tuple((run[0], run[-1]) for run in runs)
 
 
+def _beyond(shown: tuple[float, float], low: float, high: float) -> tuple[tuple[float, float], ...]:
+    """Return the regions of the page below and above two places [m or rad]."""
+    return tuple(region for region in ((shown[0], low), (high, shown[1])) if region[0] < region[1])
+
+
 # --- in a plane ---------------------------------------------------------------------------------------------------
 
 _MECHANISMS: Final = {"xy_stage": "identity", "five_bar": "five_bar"}
 """Mechanism -> kinematics of a group on it that can be shown."""
 
 
-def _mechanism_of(scene: Scene, group: GroupScene) -> tuple[MechanismScene, Sequence[ComponentSpec]]:
-    """Return the mechanism of a group, and the parts that it renders.
+def _of_walls(scene: Scene, port: Port) -> Shape:
+    """Return what the page shows of two axes that render walls, or a path, for a mass.
 
     Raises:
-        InputError: They are not a box from inside with linear springs, discs and paths, on an xy stage or a five-bar.
+        InputError: They are not two, or have other kinematics than `identity`.
     """
-    of = next((one for one in scene.mechanisms if one.axes == group.axes), None)
-    parts = group.network.parts or (group.network,)
-    kinds = [type(part.parameters) for part in parts]
-    boxes = [part.parameters for part in parts if isinstance(part.parameters, Box)]
-    is_known = of is not None and _MECHANISMS.get(of.mechanism.name) == group.kinematics.name
+    if len(port.axes) != 2 or port.kinematics.name != "identity":
+        raise InputError(
+            f"{scene.source}: group {port.name!r} has {len(port.axes)} axes and kinematics {port.kinematics.name}; "
+            "touch shows one axis, or two axes in a plane; choose such a group, with `kinematics: identity`"
+        )
+    hands, unit, network = [_hand_of(axis) for axis in port.axes], port.axes[0].parameters.unit, port.rendered
+    known: Any = network.parameters
+    return {
+        "unit": unit,
+        "shown": tuple(reach(user.motion, user.rest, start) for user, start in hands),
+        "start": tuple(start for _, start in hands),
+        "solid": _box(known),
+        "sliders": sliders_of(port.section, (network,), unit),
+        "path": _corners(known) if isinstance(known, PathMass) else (),
+    }
+
+
+def _plane(scene: Scene, port: Port) -> Shape:
+    """Return what the page shows of a mechanism.
+
+    Raises:
+        InputError: It renders anything but a box from inside with linear springs, discs and paths, or moves otherwise.
+    """
+    names = tuple(axis.parameters.name for axis in port.axes)
+    of = next((one for one in scene.mechanisms if one.axes == names), None)
+    rendered = [part.parameters for part in port.rendered.parts or (port.rendered,)]
+    kinds = [type(one) for one in rendered]
+    boxes = [one for one in rendered if isinstance(one, Box)]
+    is_known = of is not None and _MECHANISMS.get(of.mechanism.name) == port.kinematics.name
     is_drawn = all(box.side == "inside" and not box.hardening for box in boxes) and kinds.count(Box) <= 1
     if of is None or not is_known or not is_drawn or not {*kinds} <= {Box, GuidedPath, Sphere}:
         raise InputError(
-            f"{scene.source}: group {group.name!r} renders {group.network.name}; touch shows an axis by itself, or on "
+            f"{scene.source}: group {port.name!r} renders {port.rendered.name}; touch shows an axis by itself, or on "
             "an xy_stage or a five_bar a box from inside with linear springs, spheres and paths"
         )
-    return of, parts
-
-
-def _plane(scene: Scene, name: str) -> TouchScene:
-    index, group = next((i, one) for i, one in enumerate(scene.groups) if one.name == name)
-    of, parts = _mechanism_of(scene, group)
-    sides = (
-        Side(PLAIN, tuple(f"{PLAIN} {axis}" for axis in group.axes), PLAIN),
-        replace(_side(group.passivity, group.axes), group=name),
-    )
-    members = [scene.axis(axis) for axis in group.axes]
-    axes = [
-        replace(_named(axis, side, port), group=side.group)
-        for side in sides
-        for axis, port in zip(members, side.axes, strict=True)
-    ]
-    guarded = GroupScene(name, sides[1].axes, group.kinematics, group.network, group.passivity)
-    plain = ComponentSpec(PLAIN, UnprotectedGroupParameters())
-    groups = (replace(guarded, name=PLAIN, axes=sides[0].axes, passivity=plain), guarded)
     hand, start = of.hand or TaskHand(), build_mechanism(of, scene.bus.sample_time_ns).handle
-    mechanisms = tuple(_held(of, members, side, start) for side in sides)
-    rendered, links = [part.parameters for part in parts], of.mechanism.parameters
-    return TouchScene(
-        on_two_buses(scene, axes, sides, groups=groups, mechanisms=mechanisms), sides, "m",
-        tuple(map(reach, hand.motions, hand.rest, start)), start,
-        next((tuple(zip(one.lower, one.upper, strict=True)) for one in rendered if isinstance(one, Box)), ()),
-        sliders_of(f"groups.{index}.network", parts, "m"),
-        path=next((_corners(path) for path in rendered if isinstance(path, GuidedPath)), ()),
-        discs=tuple((*disc.centre, disc.radius) for disc in rendered if isinstance(disc, Sphere)),
-        links=(0.5 * links.base, links.proximal) if isinstance(links, FiveBarLinkage) else (),
-    )  # fmt: skip
+    links = of.mechanism.parameters
+    return {
+        "unit": "m",
+        "shown": tuple(map(reach, hand.motions, hand.rest, start)),
+        "start": start,
+        "solid": next((tuple(zip(one.lower, one.upper, strict=True)) for one in boxes), ()),
+        "sliders": sliders_of(port.section, port.rendered.parts or (port.rendered,), "m"),
+        "path": next((_corners(path) for path in rendered if isinstance(path, GuidedPath)), ()),
+        "discs": tuple((*disc.centre, disc.radius) for disc in rendered if isinstance(disc, Sphere)),
+        "links": (0.5 * links.base, links.proximal) if isinstance(links, FiveBarLinkage) else (),
+    }
 
 
 def _held(of: MechanismScene, members: Sequence[AxisScene], side: Side, start: tuple[float, ...]) -> MechanismScene:

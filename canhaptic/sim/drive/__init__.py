@@ -32,7 +32,7 @@ def parse_place(key: str | int) -> tuple[int, int]:
         also = f" or 0x{number:04x}" if number <= 0xFFFF else ""
         raise ValueError(f"{key!r} may be hexadecimal or decimal; write 0x{key.strip()}{also}")
     elif match := _PLACE.fullmatch(key.strip()):
-        place = (int(match.group(1), 16), int(match.group(2) or "0", 16))
+        place = (int(match[1], 16), int(match[2] or "0", 16))
     else:
         raise ValueError(f"{key!r} names no object, expected a key like 0x6502 or 0x1018.1")
     if not 0 < place[0] <= 0xFFFF:

@@ -25,7 +25,7 @@ CYCLES = 700
 
 def demo(algorithm: str = "unprotected", *overrides: str) -> Scene:
     scene = load_scene(DEMO, ["passivity.device_damping=0.1", "simulation.user.motion.frequency=1.5", *overrides])
-    return replace(scene, axes=(with_algorithm(scene.axes[0], algorithm),))
+    return scene.with_port(with_algorithm(scene.ports[0], algorithm))
 
 
 def with_effect(scene: Scene, **values: object) -> Scene:

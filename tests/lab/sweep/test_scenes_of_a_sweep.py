@@ -105,11 +105,10 @@ def test_an_algorithm_without_what_it_rests_on_takes_it_from_the_plant_in_every_
 
 def test_controllers_judge_the_same_scene(tmp_path):
     strong = load_scene(DEMO, ["environment.stiffness=5000", "bus.rate=100"])
-    [axis] = strong.axes
     names = ["unprotected", "guarded"]
     with run(strong, [], tmp_path / "a", cycles=150, controllers=names) as table:
         found = table.figure("handle", "least_interaction")
-    by_hand = [run_scalar(replace(strong, axes=(with_algorithm(axis, name),)), 150) for name in names]
+    by_hand = [run_scalar(strong.with_port(with_algorithm(strong.ports[0], name)), 150) for name in names]
     assert found == pytest.approx([figures["least_interaction"] for figures in by_hand], rel=1e-9)
     assert found[0] < -1e-3
 

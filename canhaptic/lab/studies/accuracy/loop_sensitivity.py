@@ -12,16 +12,14 @@ textbook equations, under the commands of the scene's own controller.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, cast
 
 import numpy as np
 
 from canhaptic.axis_units import effort_unit
-from canhaptic.control.admittance import DISPLAY_ALGORITHMS
-from canhaptic.control.multi_axis import GROUP_ALGORITHMS
-from canhaptic.control.passivity import ALGORITHMS, LITERATURE
+from canhaptic.control.passivity import LITERATURE
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.clock import ProcessorClock
@@ -41,7 +39,7 @@ from canhaptic.lab.studies import Row
 from canhaptic.scene.load import with_loops
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
-from canhaptic.scene.parts import build_group
+from canhaptic.scene.parts import controller_of
 from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.direct_rig import Motion
 from canhaptic.sim.plant.propagator import Array
@@ -109,7 +107,7 @@ class Variant:
 
     def controller(self) -> Any:
         """Return the algorithm, at rest."""
-        return build_group(self.scene, self.scene.groups[0]) if self.scene.groups else self.case.controller()
+        return controller_of(self.scene, self.scene.ports[0])
 
     def render(self, cycles: int, motion: Array, tick: Callable[[], None], engine: ChosenEngine) -> axis_loop.LoopRun:
         """Run the loop and return its record.
@@ -156,9 +154,7 @@ def variants(alone: Scene, whole: Scene) -> list[Variant]:
     for factor, rate in _rates(base):
         faster = finely_solved(at_rate(alone, rate), factor)
         found.append(Variant("sample rate", hertz(rate), faster, fineness=factor))
-    names = [name for name in ALGORITHMS if name not in LITERATURE]  # which are only to compare with papers
-    algorithms = _algorithms(base, GROUP_ALGORITHMS if base.groups else names)
-    return [*found, *_delays(base, whole), *algorithms, *_filters(base), *_torques(base), *_encoders(base),
+    return [*found, *_delays(base, whole), *_algorithms(base), *_filters(base), *_torques(base), *_encoders(base),
             *_without_encoder_effects(base)]  # fmt: skip
 
 
@@ -179,8 +175,8 @@ def settings_now(scene: Scene) -> dict[str, str]:
 
 
 def _algorithm_of(scene: Scene) -> str:
-    """Return the algorithm of an axis or group alone."""
-    return (scene.groups[0] if scene.groups else scene.axes[0]).passivity.name
+    """Return the algorithm of a port alone."""
+    return scene.ports[0].passivity.name
 
 
 def finely_solved(scene: Scene, factor: float = 1.0) -> Scene:
@@ -218,18 +214,15 @@ def _delays(base: Scene, whole: Scene) -> Iterator[Variant]:
         yield Variant("RPDO", other, replace(base, bus=bus, axes=axes))
 
 
-def _algorithms(base: Scene, names: Iterable[str]) -> Iterator[Variant]:
+def _algorithms(base: Scene) -> Iterator[Variant]:
     """Yield the scene under each other algorithm for which it gives, or its plant has, the required values."""
-    for name in names:
-        if name != _algorithm_of(base):
+    for name, place in base.ports[0].algorithms.table.items():
+        if name != _algorithm_of(base) and LITERATURE.get(name) != place:  # which are only to compare with papers
             try:
                 found = axis_loop.under(base, name)
-                changed = found.permitted()
-                if changed.groups and not axis_loop.is_display(changed):
-                    build_group(changed, changed.groups[0])
             except ParameterError:
                 continue
-            yield Variant("algorithm", name, changed, remark=found.remark)
+            yield Variant("algorithm", name, found.permitted(), remark=found.remark)
 
 
 def _filters(base: Scene) -> Iterator[Variant]:
@@ -469,7 +462,7 @@ def _display_variants(scene: Scene) -> Iterator[Variant]:
     for factor in (0.5, 2.0, 4.0):
         rate = factor / scene.bus.sample_time
         yield Variant("rate", f"{rate:g} Hz", at_rate(scene, rate))
-    yield from _algorithms(scene, DISPLAY_ALGORITHMS)
+    yield from _algorithms(scene)
     for sampling in ("point", "mean"):
         yield Variant("sampling", sampling, _sensed(scene, sampling=sampling))
     exact = _sensed(scene, gain=1.0, offset=0.0, drift=0.0, noise=0.0, quantum=0.0)

@@ -428,7 +428,7 @@ class _OwnPlants(Plants):
 
     def __init__(self, scene: Scene, torques: Array, stop: Stop) -> None:
         super().__init__()
-        axes = [scene.axis(name) for name in scene.groups[0].axes]
+        axes = scene.ports[0].axes
         ladders = [ladder(simulation_of(axis), scene.bus.sample_time_ns) for axis in axes]
         lead = max(range(len(axes)), key=lambda place: len(ladders[place]))  # names the settings
         self._names, self.torques = [axis.parameters.name for axis in axes], torques
@@ -528,7 +528,7 @@ class _Mechanism(_Solved):
     def _ours(self, substeps: int, order: int | None) -> Candidate:
         mechanisms = tuple(replace(of, substeps=substeps) for of in self._scene.mechanisms)
         scene = replace(self._scene, mechanisms=mechanisms)
-        axes = [scene.axis(name) for name in scene.groups[0].axes]
+        axes = scene.ports[0].axes
 
         def run(look: Callable[[Motors], object]) -> tuple[list[Any], int]:
             motors, found = motors_of(scene, axes), []

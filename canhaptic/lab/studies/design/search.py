@@ -37,7 +37,6 @@ from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.design import trial as trials
 from canhaptic.lab.studies.design.contact_quality import felt_of
 from canhaptic.lab.studies.runner import pool_of
-from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.displays import display_properties
 from canhaptic.scene.hints import guarantee, stability_hints
 from canhaptic.scene.load import scene_from_text
@@ -299,15 +298,15 @@ class _MassTrial:
 
     def __init__(self, name: str, scene: Scene, tolerance: float) -> None:
         self.name, self._scene, self._tolerance = name, scene, tolerance
-        part = scene.groups[0].network if scene.groups else scene.axes[0].environment
+        [port] = scene.ports
+        part = port.rendered
         if not isinstance(part.parameters, AdmittanceMass | GroupMass) or isinstance(part.parameters, PathMass):
             raise InputError(f"{scene.source}: {name}: renders {part.name}, expected virtual_mass to design for")
         if any(simulation_of(axis).user is None for axis in scene.axes):
             raise InputError(f"{scene.source}: {name}: has no hand (simulation.user), expected one that moves it")
         self.never_acts = never_acts(scene)
         self.unit = mass_unit(scene.axes[0].parameters.unit)
-        spec = scene.groups[0].passivity if scene.groups else scene.axes[0].passivity
-        self.allowance = float(getattr(spec.parameters, "energy_allowance", 0.0))
+        self.allowance = float(getattr(port.passivity.parameters, "energy_allowance", 0.0))
 
     def figures(self, mass: float) -> list[_Figures]:
         """Return the figures of a mass under every hand."""
@@ -395,7 +394,7 @@ def never_acts(scene: Scene) -> float:
 
 def _of_axis(axis: AxisScene, scene: Scene) -> float:
     properties, simulation = display_properties(axis), simulation_of(axis)
-    known = (scene.groups[0].passivity if scene.groups else axis.passivity).parameters
+    known = scene.port_of(axis).passivity.parameters
     lag = (properties.delay + 0.5 + properties.latency) * properties.sample_time
     lag += 0.5 / (np.pi * properties.filter) if properties.filter else 0.0
     if isinstance(known, GuardedAdmittanceParameters):
@@ -416,14 +415,9 @@ def _held(axis: AxisScene, grip: float, stiffness: float) -> AxisSimulation:
 
 
 def _with_mass(scene: Scene, mass: float) -> Scene:
-    def heavier(spec: ComponentSpec) -> ComponentSpec:
-        return spec._replace(parameters=spec.parameters.model_copy(update={"mass": mass}))
-
-    if scene.groups:
-        (group,) = scene.groups
-        return replace(scene, groups=(replace(group, network=heavier(group.network)),))
-    (axis,) = scene.axes
-    return replace(scene, axes=(replace(axis, environment=heavier(axis.environment)),))
+    [port] = scene.ports
+    heavier = port.rendered._replace(parameters=port.rendered.parameters.model_copy(update={"mass": mass}))
+    return scene.with_port(port._replace(rendered=heavier))
 
 
 def display_snippet(found: Row) -> str:

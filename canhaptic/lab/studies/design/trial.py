@@ -513,9 +513,9 @@ class GroupTrial(Trials):
         return (self._leaning, _LEAN), (self.scene, self._stroke)
 
     def _with_network(self, scene: Scene, stiffness: float, damping: float) -> Scene:
-        (group,) = scene.groups
-        network = group.network._replace(parameters=self._scale.with_values(stiffness, damping))
-        return replace(scene, groups=(replace(group, network=network),))
+        [port] = scene.ports
+        network = port.rendered._replace(parameters=self._scale.with_values(stiffness, damping))
+        return scene.with_port(port._replace(rendered=network))
 
     def _with_hands_at_rest(self) -> Scene:
         """Return the scene with its hands at rest where the torques were largest during their motion."""

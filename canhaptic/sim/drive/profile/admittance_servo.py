@@ -79,7 +79,7 @@ class AdmittanceServo(Servo):
         state, command = self.machine.state, 0.0
         word = STATUSWORDS[state]
         if state is DriveState.OPERATION_ENABLED:
-            mode = self._mode_display.value
+            mode = self._mode_shown.value
             if self._torque_offset.value != self._offset or not self.is_running:
                 self._feed_forward()
             if mode == CYCLIC_SYNC_VELOCITY:
@@ -167,7 +167,7 @@ class AdmittanceServo(Servo):
         super().sample()
         self._has_taken = False
         self._ramped = self.torque
-        if self._mode_display.value == CYCLIC_SYNC_POSITION and self.machine.state is DriveState.OPERATION_ENABLED:
+        if self._mode_shown.value == CYCLIC_SYNC_POSITION and self.machine.state is DriveState.OPERATION_ENABLED:
             self.torque = 0.0  # until the target of this SYNC acts
         entry = self._force
         if entry is None:

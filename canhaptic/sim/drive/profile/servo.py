@@ -289,7 +289,7 @@ class Servo:
         self._statusword = store.entry(objects.STATUSWORD, DataType.UNSIGNED16)
         self._mode = store.entry(objects.MODES_OF_OPERATION, DataType.INTEGER8)
         self._hides_mode = parameters.mode_when_enabled
-        self._mode_display = store.entry(objects.MODES_OF_OPERATION_DISPLAY, DataType.INTEGER8)
+        self._mode_shown = store.entry(objects.MODES_OF_OPERATION_DISPLAY, DataType.INTEGER8)
         self._supported_modes = store.find(objects.SUPPORTED_DRIVE_MODES)
         self._quick_stop_option = store.optional(objects.QUICK_STOP_OPTION, DataType.INTEGER16)
         self._target: Any = store.entry(objects.TARGET_TORQUE, DataType.INTEGER16)
@@ -334,7 +334,7 @@ class Servo:
         for commanded in (self._controlword, self._mode, self._target, self._torque_offset):
             commanded.value = commanded.number
         shows = not self._hides_mode and self._check_mode(self._mode.number) is None
-        self._mode_display.value = self._mode.number if shows else 0
+        self._mode_shown.value = self._mode.number if shows else 0
         self._statusword.value = STATUSWORDS[self.machine.state]
         self._stage.reload()
         self._meter.reset()
@@ -363,8 +363,8 @@ class Servo:
             if before is DriveState.FAULT and machine.state is not before:
                 self.was_reset = True
         shown = mode if not self._hides_mode or machine.state is _ENABLED else 0
-        if shown != self._mode_display.value and self._check_mode(self._mode.number) is None:
-            self._mode_display.value = shown
+        if shown != self._mode_shown.value and self._check_mode(self._mode.number) is None:
+            self._mode_shown.value = shown
         self.update(before)
 
     def _delayed(self, controlword: int) -> int:
@@ -402,11 +402,11 @@ class Servo:
                 demand = self.demand  # a drive that works its brake holds the axis until the brake does
         else:
             word = _ENABLED_WORD
-            if self._mode_display.value == CYCLIC_SYNC_TORQUE and (not self._follow_delay or self._follows()):
+            if self._mode_shown.value == CYCLIC_SYNC_TORQUE and (not self._follow_delay or self._follows()):
                 target: int = self._target.value + self._torque_offset.value  # numbers since `reset`
                 demand = self._stage.limit(target)
                 word = _FOLLOWING_WORD if demand == target else _LIMITING_WORD
-            elif self._homing is not None and self._mode_display.value == HOMING:
+            elif self._homing is not None and self._mode_shown.value == HOMING:
                 demand, word = self._home(self._homing)
         applied = demand
         if self._fault is not None and state is _ENABLED:
@@ -474,7 +474,7 @@ class Servo:
         self._count(self._position, motor.position if encoder is None else encoder(motor), self._zero)
         if self.measures_velocity:
             self._count(self.velocity_entry, motor.velocity)
-        if self._homing is not None and self._mode_display.value == HOMING:
+        if self._homing is not None and self._mode_shown.value == HOMING:
             self.update()
         self.show_torque()
         if self._fault is not None:
