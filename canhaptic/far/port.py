@@ -48,9 +48,7 @@ _RELEASE: Final = 0.2
 _LED: Final = 0.02
 """Share of the spare energy by which a wall comes nearer to its place in a hold."""
 _NEARER: Final = 0.01
-"""Share of the torque limit by which it does."""
-_SLEW: Final = 0.02
-"""Share of the torque limit by which the word of a program may change the torque in a hold."""
+"""Share of the torque limit by which it does, and by which the word of a program changes the torque in a hold."""
 _ROUNDING: Final = 1e-9  # [N or N*m]
 _ANY: Final = 0
 _IS_READY, _IS_LINKED, _IS_STOPPING, _IS_BELOW, _IS_ABOVE, _IS_TO_POINT = (1 << bit for bit in range(6))
@@ -334,7 +332,7 @@ def settings_of(far: FarParameters, parameters: guarded.GuardedParameters, loop:
         release=time / _RELEASE,
         by_model=far.coupling.type == "model" and far.world is None,
         by_world=far.world is not None,
-        slew=_SLEW * known.torque_limit,
+        slew=_NEARER * known.torque_limit,
         then=THEN[far.then],
         to_rest=loop.delay + 2 + parameters.max_consecutive_losses,
     )

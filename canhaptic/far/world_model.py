@@ -13,6 +13,8 @@ SPRING: Final = 2.0
 """Kind of a spring to a point; 1.0 and -1.0 are walls that a hand presses upward and downward, 0.0 is nothing."""
 _AHEAD: Final = 0.05
 """Time for which a wall is believed to move on as it was told [s]: three turns of a program at 60 Hz."""
+_MOST: Final = 1e9
+"""Effort beyond which a model is cut, so that it stays a number [N or N*m]."""
 _LED: Final = 0.02
 """Share of the spare energy by which a wall grows in a hold."""
 
@@ -42,13 +44,13 @@ def forget(state: WorldState) -> None:
     state.speed = state.used_stiffness = state.used_damping = state.offset = state.effort = state.stored = 0.0
 
 
-def effort_in(state: WorldState, position: float, velocity: float, limit: float) -> float:
-    """Return the effort of the model in use without its offset [N or N*m], at most `limit` to either side."""
+def effort_in(state: WorldState, position: float, velocity: float) -> float:
+    """Return the effort of the model in use without its offset [N or N*m]."""
     stretch, kind = position - state.at, state.kind
     effort = state.used_stiffness * stretch + state.used_damping * (velocity - state.speed)
     if kind == 0.0 or (kind != SPRING and (kind * stretch <= 0.0 or kind * effort <= 0.0)):
         return 0.0
-    return min(max(effort, -limit), limit)
+    return min(max(effort, -_MOST), _MOST)
 
 
 def take_word(state: WorldState, kind: float, at: float, speed: float, time: float) -> None:
@@ -80,17 +82,18 @@ def led_effort(
         slew: Most by which an offset fades in a hold [N or N*m].
         energy: Energy in the tank [J].
     """
-    before = effort_in(state, position, velocity, limit)
+    before = effort_in(state, position, velocity)
     total, pulled = before + state.offset, max(0.0, -state.kind * state.effort)
     if state.kind != SPRING and -state.kind * total > pulled:  # a hand that leaves a wall is not pulled by the offset
         total = -state.kind * pulled
     take_word(state, kind, at, speed, time)
-    now, stiffness = effort_in(state, position, velocity, limit), state.used_stiffness
+    now, stiffness = effort_in(state, position, velocity), state.used_stiffness
     offset, step = total - now, slew
     if offset * total <= 0.0 and stiffness > 0.0 and now != 0.0:  # it grows
         spare = max(0.0, energy - 0.5 * total * total / stiffness)
         step = min(slew, _LED * spare * stiffness / max(abs(total), slew))
     offset = max(0.0, offset - step) if offset > 0.0 else min(0.0, offset + step)
-    state.offset, state.effort = offset, now + offset
+    state.effort = min(max(now + offset, -limit), limit)
+    state.offset = state.effort - now
     state.stored = 0.5 * state.effort * state.effort / stiffness if stiffness > 0.0 else 0.0
     return state.effort

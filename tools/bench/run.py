@@ -26,6 +26,7 @@ NOT_QUESTIONS = {
     "peers",
     "report",
     "run",
+    "slow_worlds",
     "standard_cases",
     "sweep_events",
     "user_laws",
