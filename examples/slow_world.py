@@ -1,6 +1,6 @@
 """A loop with `time.sleep` behind a wall that the rig renders at 1 kHz: a lift goes up and down under the hand.
 
-Alone it meets the simulated rig in virtual time. With `loopback` it meets `canhaptic run configs/world.yaml --pace real`.
+Alone it meets the simulated rig in virtual time; with `loopback`, `canhaptic run configs/world.yaml --pace real`.
 """
 
 import math

@@ -9,23 +9,21 @@ import canhaptic
 
 RIG = Path(__file__).resolve().parents[2] / "configs" / "world.yaml"
 SCENE = """<mujoco><option timestep="0.0041666667" integrator="implicitfast" gravity="0 0 0"/><worldbody>
-<body name="proxy"><joint type="slide" axis="1 0 0"/><geom name="proxy" type="sphere" size=".01" mass=".2"/></body>
-<body name="ball" pos=".03 0 0"><joint type="slide" axis="1 0 0" damping="2"/><geom type="sphere" size=".01" mass=".5"/></body>
-<body name="block" mocap="true" pos=".07 0 0"><geom type="box" size=".01 .1 .1"/></body></worldbody>
-<actuator><general joint="" gainprm="800" biastype="affine" biasprm="0 -800 -16"/></actuator></mujoco>""".replace(
-    'joint type="slide" axis="1 0 0"/>', 'joint name="x" type="slide" axis="1 0 0"/>', 1
-).replace('joint=""', 'joint="x"')
+<body><joint name="x" type="slide" axis="1 0 0"/><geom type="sphere" size=".01" mass=".2"/></body>
+<body pos=".03 0 0"><joint type="slide" axis="1 0 0" damping="2"/><geom type="sphere" size=".01" mass=".5"/></body>
+<body mocap="true" pos=".07 0 0"><geom type="box" size=".01 .1 .1"/></body></worldbody>
+<actuator><general joint="x" gainprm="800" biastype="affine" biasprm="0 -800 -16"/></actuator></mujoco>"""
 
 if __name__ == "__main__":
     model = mujoco.MjModel.from_xml_string(SCENE)
     data, touches = mujoco.MjData(model), 0
     with canhaptic.World((sys.argv[1:] or ["virtual"])[0], scene=RIG) as world:
         for hand in world:
-            data.ctrl[0], work = hand["handle"].position, 0.0  # a spring draws the proxy to the hand
+            data.ctrl[0], work = hand["handle"].position, 0.0  # a spring draws the first sphere to the hand
             for _ in range(4):
                 before = data.qpos[0]
                 mujoco.mj_step(model, data)
-                work += data.actuator_force[0] * (data.qpos[0] - before)  # what the hand's spring puts into the world
+                work += data.actuator_force[0] * (data.qpos[0] - before)  # what that spring puts into the world
             world["handle"].absorbed(work)
             if any(0 in (contact.geom1, contact.geom2) for contact in data.contact[: data.ncon]):
                 world["handle"].wall(at=data.qpos[0], speed=data.qvel[0], stiffness=2000.0, pushes="-", damping=6.0)

@@ -28,6 +28,7 @@ SAYS = {
     "read_a_log.py": "in the wall for",
     "replay_a_recording.py": "identical",
     "room_in_a_plane.py": "stage: in .* passive yes",
+    "slow_world.py": "mm deep yes",
 }
 """Script -> what it prints."""
 

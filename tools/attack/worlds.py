@@ -1,11 +1,11 @@
-"""Attacks a rig behind which a slow program says what is there: random programs that stall, jump, owe, take back and lie.
+"""Attacks a rig behind which a slow program says what is there: random programs that stall, jump, owe, and lie.
 
     python -m tools.attack.worlds --worlds 2000
     python -m tools.attack.worlds --mutants           # lines of the rule broken in turn: each must be found
 
 Plants, hands and networks are those of `tools.attack.far`. The true energy of the plant is looked at in every step of
-its solver with S and R (F1), and with the most that the program has given so far (W1), over all sessions. A program that
-lies about its energy is held to F1 alone.
+its solver with S and R (F1), and with the most that the program has given so far (F4), over all sessions. A program
+that lies about its energy is held to F1 alone.
 """
 
 import argparse
@@ -146,7 +146,7 @@ def run_world(
     settings: Any, states: Any, memory: Any, rig: Rig, ways: Any, program: Program, random: Any, length: float,
     mutant: int, out: Any, boxes: Any, plant: Any, full: Any, keeps: Any, mind: Any, room: Any,
 ) -> None:  # fmt: skip
-    """Runs one rig and its program; `out` gets least energies with gifts, with S and R, alone; torque, S, R, sessions."""
+    """Runs one rig and its program; `out` gets least energies with gifts, with S and R, alone; torque, S, R, ends."""
     sums, words, state = room[:3], room[3:], states[0]
     acting = waiting = newest = now = rig_due = number = turn = 0.0
     seen = seen_far = -1.0
@@ -219,7 +219,7 @@ def drawn_program(random: np.random.Generator) -> Program:
 
 
 def run(seed: int, length: float, mutant: int = 0) -> Any:
-    """Returns the figures of one random world (see `run_world`), F1 and W1 first; W1 is 0 where the program lies."""
+    """Returns the figures of one random world (see `run_world`), F1 and F4 first; F4 is 0 where the program lies."""
     random = np.random.default_rng(seed)
     rig, program, ways = drawn_rig(random), drawn_program(random), (drawn_way(random), drawn_way(random))
     if random.random() < 0.3:

@@ -3,9 +3,11 @@
 First random networks on loops without a bus (`tools.attack.far`, plants and network of its own), then every line of the
 rule broken in turn, then pairs over the product's buses by the truth of both plants, the spring on a wall, and the
 processor time of a packet. What was attacked is kept in `far_worlds_runs.jsonl`: the same command goes on with it.
+Last come the rows of a slow program behind a rig (`slow_worlds.py`). `--part` measures one half and keeps the other.
 """
 
 import argparse
+import json
 import os
 import tempfile
 from pathlib import Path
@@ -27,7 +29,8 @@ from canhaptic.scene.pair import Pair
 from tools.attack.far import FALSE, GIVEN, MUTANTS, campaign, run
 from tools.attack.far_rivals import CELLS, figures
 from tools.attack.far_rivals import NAMES as RIVALS
-from tools.bench.report import Row, kept_folder, publish
+from tools.bench.report import RESULTS, Row, kept_folder, publish
+from tools.bench.slow_worlds import rows_of_worlds
 from tools.kept_runs import run_kept
 
 _PACKAGES: Final = ("canhaptic", "numpy", "numba")
@@ -293,13 +296,31 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=500)
     parser.add_argument("--minutes", type=float, default=60.0, help="for the networks, and for the pairs")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--worlds", type=int, default=2000)
+    parser.add_argument("--part", choices=("all", "rigs", "worlds"), default="all")
     asked = parser.parse_args()
+    rigs = of_rigs(asked) if asked.part != "worlds" else kept_rows(of_a_world=False)
+    own = (
+        rows_of_worlds(asked.worlds, asked.minutes, asked.jobs) if asked.part != "rigs" else kept_rows(of_a_world=True)
+    )
+    publish("far_worlds", [*rigs, *own], _PACKAGES)
+
+
+def kept_rows(*, of_a_world: bool) -> list[Row]:
+    """Returns the rows of one half as they were recorded."""
+    path = RESULTS / "far_worlds.json"
+    rows = [Row(**row) for row in json.loads(path.read_text(encoding="utf-8"))["rows"]]
+    return [row for row in rows if row.row.startswith("world: ") is of_a_world]
+
+
+def of_rigs(asked: argparse.Namespace) -> list[Row]:
+    """Measures the rows of two rigs over a network."""
     models = [row for cell in CELLS for row in by_model(*cell)]
     touches = [*first_touch(40.0, 900.0), *first_touch(100.0, 350.0)]
     rows = [packet_cost(), flood(), mutated(10**6), felt(0.0), felt(10.0), *models, *touches, *of_rivals()]
     rows += [row for trip in (0.0, 40.0, 300.0) for row in two_logs(trip)]
     rows += [*over_buses(asked.pairs, asked.minutes, asked.jobs), *mutants()]
-    publish("far_worlds", [*networks(asked.networks, asked.minutes, asked.jobs), *rows], _PACKAGES)
+    return [*networks(asked.networks, asked.minutes, asked.jobs), *rows]
 
 
 if __name__ == "__main__":
