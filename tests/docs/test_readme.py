@@ -75,5 +75,5 @@ def test_the_tutorial_shows_the_verdict_of_a_check_as_it_is(tmp_path: Path, caps
 
 def test_the_scripts_are_counted() -> None:
     scripts = len(list((ROOT / "examples").glob("*.py")))
-    assert scripts == 13
-    assert "Thirteen scripts by task" in page("from_python.md")
+    assert scripts == 14
+    assert "Fourteen scripts by task" in page("from_python.md")

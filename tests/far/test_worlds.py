@@ -82,7 +82,7 @@ def test_a_ball_in_mujoco_is_felt_and_nothing_given_out_where_the_held_force_giv
 
 @pytest.mark.slow
 def test_a_plain_loop_with_time_sleep_meets_a_rig_in_a_process_of_its_own() -> None:
-    slow = ["bus.rate=100 Hz", "far.coupling.stiffness=300 N/m", "passivity.hand_push=6", "duration=4 s"]
+    slow = ["bus.rate=100 Hz", "far.coupling.stiffness=300 N/m", "far.level=200 mJ", "duration=4 s"]
     words = [sys.executable, "-m", "canhaptic", "run", SCENE, "--pace", "real", "--json"]
     for change in slow:
         words += ["--set", change]
