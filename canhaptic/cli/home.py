@@ -27,7 +27,8 @@ def execute(arguments: argparse.Namespace) -> int:
     dialogue = dialogue_of(scene, yes=arguments.yes)
     if (kind := kind_of(scene.bus_of(axis))) != "can":
         text = f"{scene.source}: {axis.parameters.name} is on a bus of type {kind}, where a homing is not offered"
-        raise InputError(f"{text}; home it with the vendor's tool, or set position_reference for its encoder")
+        why = "homing here writes the controlword by SDO, and a drive in OP takes it from its process data alone"
+        raise InputError(f"{text}: {why}; home it with the vendor's tool, or set position_reference for its encoder")
     with build(_hands_off(scene)) as experiment:
         planned = next(drive for drive in experiment.rig.drives if drive.axis.name == axis.parameters.name)
         known = planned.axis.model_copy(update={"torque_limit": arguments.torque, "reset_fault": False})

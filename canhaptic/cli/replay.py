@@ -17,6 +17,7 @@ from canhaptic.logs.frame_log import is_frame_log
 from canhaptic.logs.repair import require_readable
 from canhaptic.replay import FrameWords, ReplayResult, replay_bus_log, replay_line
 from canhaptic.scene.buses import kind_of
+from canhaptic.scene.models import Scene
 from canhaptic.view.energy_table import energy_report
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.terminal import write_json
@@ -35,20 +36,7 @@ def _replay_buses(arguments: argparse.Namespace) -> int:
     """Replay the log of CAN buses."""
     if arguments.junit is not None:
         check_place(arguments.junit, force=True)
-    dry_run = arguments.no_torque
-    if arguments.config is None and arguments.energy_log is None:
-        arguments.config = scene_next_to(arguments.bus_log)
-    if arguments.energy_log is not None:
-        require_readable(arguments.energy_log)
-        with EnergyLog.open(arguments.energy_log) as log:
-            scene = scene_of_log(log, arguments.config, allow_code=arguments.allow_code)
-            dry_run = dry_run or log.dry_run
-    else:
-        scene = scene_of(arguments)
-        if scene.own_code:
-            text = f"{arguments.bus_log}: a bus log does not record user code, and the scene uses"
-            text = f"{text} {', '.join(scene.own_code)}; add the energy log of the same run, which does: --energy-log"
-            raise InputError(text)
+    scene, dry_run = _recorded_scene(arguments)
     result = replay_bus_log(
         arguments.bus_log, scene, realtime=arguments.realtime, from_sync=arguments.from_sync, dry_run=dry_run
     )
@@ -69,15 +57,28 @@ def _replay_buses(arguments: argparse.Namespace) -> int:
     return 1 if faults else 0
 
 
+def _recorded_scene(arguments: argparse.Namespace) -> tuple[Scene, bool]:
+    """Return the scene of the recorded run, as it was where its energy log is named, and whether it was a dry run."""
+    if arguments.config is None and arguments.energy_log is None:
+        arguments.config = scene_next_to(arguments.bus_log)
+    if arguments.energy_log is not None:
+        require_readable(arguments.energy_log)
+        with EnergyLog.open(arguments.energy_log) as log:
+            scene = scene_of_log(log, arguments.config, allow_code=arguments.allow_code)
+            return scene, arguments.no_torque or log.dry_run
+    scene = scene_of(arguments)
+    if scene.own_code:
+        text = f"{arguments.bus_log}: a bus log does not record user code, and the scene uses"
+        text = f"{text} {', '.join(scene.own_code)}; add the energy log of the same run, which does: --energy-log"
+        raise InputError(text)
+    return scene, arguments.no_torque
+
+
 def _replay_line(arguments: argparse.Namespace) -> int:
     """Replay the log of an EtherCAT line."""
-    if arguments.config is None:
-        arguments.config = scene_next_to(arguments.bus_log)
-    path, scene = arguments.bus_log, scene_of(arguments)
+    path, (scene, dry_run) = arguments.bus_log, _recorded_scene(arguments)
     is_line = kind_of(scene.bus) != "can" and len(scene.buses) == 1
-    result = replay_line(
-        path, scene, dry_run=arguments.no_torque, cycles=cycles_on_line(path, scene) if is_line else None
-    )
+    result = replay_line(path, scene, dry_run=dry_run, cycles=cycles_on_line(path, scene) if is_line else None)
     if arguments.json:
         write_json(result._asdict())
     else:

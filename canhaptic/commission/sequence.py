@@ -8,7 +8,7 @@ zero torque times the cycle.
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
@@ -330,6 +330,9 @@ def _end(session: Session) -> None:
         session.rig.reset_faults()
 
 
+_LARGEST_PHASE: Final = (
+    0.2  # part of the sample time: before it the frame has passed SYNC0, after it the write frame does
+)
 _COUNTS_OF_LINKS: Final = ("missed_tpdos", "late", "error_frames")
 
 
@@ -340,8 +343,18 @@ def time_the_cycle(session: Session, seconds: float) -> None:
         RigError: Drive or link failed.
     """
     before = session.rig.link_statistics()
-    cycle = session.run([OpenLoop() for _ in session.axes], session.cycles(seconds))
+    lines: list[Any] = [bus for bus in session.rig.buses if bus.clock_leader]
+    errors = [list[int]() for _ in lines]
+
+    def noted() -> bool:
+        for line, of in zip(lines, errors, strict=True):
+            of.append(abs(line.lock.error))
+        return False
+
+    cycle = session.run([OpenLoop() for _ in session.axes], session.cycles(seconds), noted)
     statistics = session.rig.link_statistics()
+    for line, of in zip(lines, errors, strict=True):
+        _judge_phase(session, line.bus.phase, of)
     counted = {"skipped_syncs": statistics["skipped_syncs"]}  # counted from the start of a run
     counted |= {name: statistics.get(name, 0) for name in ("unanswered", "low_counter")}
     old_and_new = {name: (before.get(name, 0), statistics.get(name, 0)) for name in _COUNTS_OF_LINKS}
@@ -358,6 +371,16 @@ def time_the_cycle(session: Session, seconds: float) -> None:
         p50, p99 = histogram.quantile(0.5) * 1e6, histogram.quantile(0.99) * 1e6
         found = f"p50 {p50:.0f} us, p99 {p99:.0f} us"
         session.found(0, name.replace("_", " "), "", found, StepVerdict.MEASURED)
+
+
+def _judge_phase(session: Session, phase: float, errors: Sequence[int]) -> None:
+    """Judge by how much the frames of a line missed their phase after SYNC0 [ns]."""
+    if not errors:  # stopped before the first cycle
+        return
+    part = sorted(errors)[len(errors) * 99 // 100] * 1e-9 / session.sample_time
+    text = "frames come near the edge of their hold: see `canhaptic check --host`, try bus.realtime, or lower bus.rate"
+    wanted = f"{phase:.0%} of the sample time after SYNC0"
+    session.judged(0, "phase of the frames", wanted, f"p99 {part:.2%} off", good=part <= _LARGEST_PHASE, text=text)
 
 
 def _propose_jitter(session: Session, latest: float) -> None:

@@ -43,16 +43,24 @@ def test_the_pages_say_that_no_real_drive_was_run() -> None:
 @pytest.mark.slow
 def test_the_evidence_of_an_ethercat_drive_has_its_esi_and_every_frame(person: Person) -> None:
     out = person.folder / "evidence"
-    person.types(
-        "evidence", str(REPOSITORY / "configs" / "ethercat.yaml"), "--out", str(out), "--yes", "--duration", "0.2"
-    )
+    scene = str(REPOSITORY / "configs" / "ethercat.yaml")
+    person.types("evidence", scene, "--out", str(out), "--yes", "--anonymous", "--duration", "0.2")
     assert {"drive0.xml", "rig.yaml", "dry_run.pcap", "tenth.pcap", "sign.md"} <= {file.name for file in out.iterdir()}
     assert "esi: drive0.xml" in (out / "rig.yaml").read_text(encoding="utf-8")
+    assert "<Name>canhaptic" not in (out / "drive0.xml").read_text(encoding="utf-8")
     assert "asks for OP" in person.types("inspect", str(out / "tenth.pcap"))
+    for name in ("tenth", "dry_run"):
+        log, frames, rig = (str(out / file) for file in (f"{name}.h5", f"{name}.pcap", "rig.yaml"))
+        assert "equal bit for bit" in person.types("inspect", log, "--recompute", "--bus-log", frames)
+        assert "identical" in person.types("replay", frames, "--config", rig, "--energy-log", log)
 
 
 def test_a_homing_on_ethercat_is_refused_before_anything_is_sent(person: Person) -> None:
     scene = str(REPOSITORY / "configs" / "ethercat.yaml")
     words = ("--home", scene, "--method", "37", "--speed", "1", "1", "--torque", "0.1", "--yes")
     person.types("commission", *words, status=2)
-    assert "on a bus of type ethercat, where a homing is not offered; home it with the vendor's tool" in person.errors
+    assert (
+        "on a bus of type ethercat, where a homing is not offered: homing here writes the controlword by SDO"
+        in person.errors
+    )
+    assert "home it with the vendor's tool" in person.errors

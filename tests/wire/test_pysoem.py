@@ -5,10 +5,12 @@ import re
 import signal
 import struct
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import pytest
 
+from canhaptic.commission.sequence import commission
+from canhaptic.commission.session import CommissioningLimits, Session, Unattended
 from canhaptic.cycle import run
 from canhaptic.errors import LinkError, RigError
 from canhaptic.host import capabilities
@@ -120,3 +122,38 @@ def test_a_wire_without_drives_is_named(ends: tuple[str, str]) -> None:
 def test_an_interface_that_cannot_be_opened_is_named(ends: tuple[str, str]) -> None:
     with pytest.raises(LinkError, match=re.escape("bus.interface 'nothing0': got no such interface, expected one of")):
         on("nothing0")
+
+
+class _Person(Unattended):
+    """Knows the inertia of the handle, and does not measure how far it moved."""
+
+    def number(self, question: str, unit: str, truth: float | None) -> float | None:
+        return 0.001 if "moving mass" in question else 0.05 if "from both ends" in question else None
+
+    def choose(self, question: str, answers: Sequence[str], truth: str) -> str:
+        return "mass"
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.8])
+def test_commission_finds_hold_scale_watchdog_and_phase_on_a_wire(ends: tuple[str, str], scale: float) -> None:
+    line = ("simulation.user=null", "bus.rate=250", "bus.watchdog=40 ms")  # a rate that a loaded computer keeps
+    drive = (
+        f"simulation.drive.rated_torque={1.27 * scale}",
+        f"simulation.drive.rated_torque_resolution={1e-3 * scale}",
+    )
+    scene = load_scene(SCENE, [f"bus.interface={ends[0]}", *REALTIME, *line])
+    with FarEnd(ends[1], SCENE, *line, *drive) as far:
+        session = Session(scene, _Person(lambda _: None), CommissioningLimits(), lambda: False)
+        commission(session, 0.5)
+        [seen] = far.ask()
+    rows = {found.item: (found.verdict.value, found.found) for found in session.report.findings}
+    assert (seen["al_state"], seen["torque"]) == (2, 0.0)
+    assert rows["torque sign"][0] == "agrees"
+    assert float(rows["torque scale"][1]) == pytest.approx(scale, rel=0.02)
+    assert rows["torque scale"][0] == ("agrees" if scale == 1.0 else "differs")
+    assert rows["watchdog"] == ("agrees", "FAULT")
+    assert rows["phase of the frames"][0] == "agrees"
+    if scale == 1.0:
+        assert rows["command to motion"][0] == "agrees"
+        assert rows["command to motion"][1].startswith("1 SYNC")
+        assert rows["moving mass"][0] == "agrees"
