@@ -370,7 +370,7 @@ class TimedSession(PlayedSession):
     def rig(self) -> Any:
         """A rig that lost nothing."""
         counts = dict.fromkeys(("skipped_syncs", "missed_tpdos", "late", "error_frames"), 0)
-        return SimpleNamespace(link_statistics=lambda: counts)
+        return SimpleNamespace(link_statistics=lambda: counts, buses=())
 
     def run(self, laws: Sequence[OpenLoop], cycles: int, ready: Callable[[], bool] = bool) -> Any:
         """The times of a run."""
