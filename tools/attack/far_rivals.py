@@ -6,6 +6,7 @@
 - TDPA: time-domain passivity of both channels with drift compensation (Ryu, Artigas, Preusche 2010; Chawda 2014).
 - waves: wave variables that send integral and energy of the wave (Niemeyer, Slotine 2004).
 - two-layer: tanks that send quanta of energy, and a controller of their level (Franken et al. 2011).
+- plain gains: the springs without that damping.
 
 All of them book the held torque times the measured displacement. A handle is moved against a stop behind the network.
 """
@@ -19,7 +20,7 @@ import numpy as np
 from canhaptic.kernels.compiler import compiled
 from tools.attack.far import Rig, Way, advance, copies_of, measured, next_due
 
-NAMES: Final = ("gains", "TDPA", "waves", "two-layer")
+NAMES: Final = ("gains", "TDPA", "waves", "two-layer", "plain gains")
 CELLS: Final = ((0.0, 0.0), (10.0, 5.0), (40.0, 0.0), (40.0, 20.0), (100.0, 0.0), (300.0, 0.0), (300.0, 20.0))
 """Round trips [ms] and losses [%] of the table."""
 _BOX: Final = 4096
@@ -109,14 +110,14 @@ def take(box: Any, count: int, got: Any, now: float) -> int:
 
 def torque_of(method: int, s: int, at: Any, got: Any, q: float, v: float, k: float, d: float, trip: float) -> float:
     """Returns the torque of one side by one method, within the limit."""
-    if method == 0:
-        f = gains(s, at, got, q, v, k, d, trip)
-    elif method == 1:
+    if method == 1:
         f = tdpa(s, at, got, q, v, k, d, trip)
     elif method == 2:
         f = waves(s, at, got, q, v, k, d, trip)
-    else:
+    elif method == 3:
         f = two_layer(s, at, got, q, v, k, d, trip)
+    else:
+        f = gains(s, at, got, q, v, k, d, trip if method == 0 else 0.0)
     return min(max(f, -_LIMIT), _LIMIT)
 
 
