@@ -3,13 +3,15 @@
 First random networks on loops without a bus (`tools.attack.far`, plants and network of its own), then every line of the
 rule broken in turn, then pairs over the product's buses by the truth of both plants, the spring on a wall, and the
 processor time of a packet. What was attacked is kept in `far_worlds_runs.jsonl`: the same command goes on with it.
-Last come the rows of a slow program behind a rig (`slow_worlds.py`). `--part` measures one half and keeps the other.
+Last come the rows of a slow program behind a rig (`slow_worlds.py`). `--only` measures some kinds of
+rows (`--only worlds`), and leaves the others as recorded.
 """
 
 import argparse
 import json
 import os
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from time import thread_time
 from typing import Final
@@ -292,6 +294,14 @@ def packet_cost() -> Row:
     return Row("packet in a SYNC: pack, tag, send, receive, check, p50", value, "us", target="<= 12", met=value <= 12.0)
 
 
+def with_recorded(rows: list[Row]) -> list[Row]:
+    """Returns rows, and those of other names that were recorded last."""
+    path = RESULTS / "far_worlds.json"
+    known = [Row(**of) for of in json.loads(path.read_text(encoding="utf-8"))["rows"]] if path.is_file() else []
+    measured = {row.row for row in rows}
+    return [*rows, *(row for row in known if row.row not in measured)]
+
+
 def main() -> None:
     """Measures and publishes."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -300,30 +310,24 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=60.0, help="for the networks, and for the pairs")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--worlds", type=int, default=2000)
-    parser.add_argument("--part", choices=("all", "rigs", "worlds"), default="all")
+    parser.add_argument("--only", nargs="+", default=[], metavar="KIND", help="of rows; others stay as recorded")
     asked = parser.parse_args()
-    rigs = of_rigs(asked) if asked.part != "worlds" else kept_rows(of_a_world=False)
-    own = (
-        rows_of_worlds(asked.worlds, asked.minutes, asked.jobs) if asked.part != "rigs" else kept_rows(of_a_world=True)
-    )
-    publish("far_worlds", [*rigs, *own], _PACKAGES)
-
-
-def kept_rows(*, of_a_world: bool) -> list[Row]:
-    """Returns the rows of one half as they were recorded."""
-    path = RESULTS / "far_worlds.json"
-    rows = [Row(**row) for row in json.loads(path.read_text(encoding="utf-8"))["rows"]]
-    return [row for row in rows if row.row.startswith("world: ") is of_a_world]
-
-
-def of_rigs(asked: argparse.Namespace) -> list[Row]:
-    """Measures the rows of two rigs over a network."""
-    models = [row for cell in CELLS for row in by_model(*cell)]
-    touches = [*first_touch(40.0, 900.0), *first_touch(100.0, 350.0)]
-    rows = [packet_cost(), flood(), mutated(10**6), *felt(0.0), *felt(10.0), *models, *touches, *of_rivals()]
-    rows += [row for trip in (0.0, 40.0, 300.0) for row in two_logs(trip)]
-    rows += [*over_buses(asked.pairs, asked.minutes, asked.jobs), *mutants()]
-    return [*networks(asked.networks, asked.minutes, asked.jobs), *rows]
+    kinds: dict[str, Callable[[], list[Row]]] = {
+        "networks": lambda: networks(asked.networks, asked.minutes, asked.jobs),
+        "packet": lambda: [packet_cost(), flood(), mutated(10**6)],
+        "spring": lambda: [*felt(0.0), *felt(10.0)],
+        "model": lambda: [row for cell in CELLS for row in by_model(*cell)],
+        "touch": lambda: [*first_touch(40.0, 900.0), *first_touch(100.0, 350.0)],
+        "rivals": of_rivals,
+        "logs": lambda: [row for trip in (0.0, 40.0, 300.0) for row in two_logs(trip)],
+        "pairs": lambda: over_buses(asked.pairs, asked.minutes, asked.jobs),
+        "mutants": mutants,
+        "worlds": lambda: rows_of_worlds(asked.worlds, asked.minutes, asked.jobs),
+    }
+    if unknown := [kind for kind in asked.only if kind not in kinds]:
+        parser.error(f"--only: got {', '.join(unknown)}, expected some of: {', '.join(kinds)}")
+    rows = [row for kind in asked.only or kinds for row in kinds[kind]()]
+    publish("far_worlds", with_recorded(rows) if asked.only else rows, _PACKAGES)
 
 
 if __name__ == "__main__":
