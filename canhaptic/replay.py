@@ -37,6 +37,7 @@ from canhaptic.logs.text_lines import SkippedKind
 from canhaptic.result import RunResult, run_result
 from canhaptic.scene import parts
 from canhaptic.scene.build import build_loss_meters
+from canhaptic.scene.buses import can_bus
 from canhaptic.scene.models import Scene
 from canhaptic.scene.scene_logs import Channels, describe_nodes
 
@@ -89,7 +90,7 @@ def roles_of(scene: Scene) -> Roles:
     nodes = zip(on * 2, [*axes, *sensors], strict=True)
     sdo_requests = frozenset((bus, od.SDO_REQUEST_BASE + of.node_id) for bus, of in nodes if of and of.node_id)
     rpdos = [(bus, plan.rpdo.cob_id) for bus, plan in zip(on, maps, strict=True)]
-    heartbeat = od.HEARTBEAT_BASE + scene.bus.master_id
+    heartbeat = od.HEARTBEAT_BASE + can_bus(scene.bus).master_id
     on_every_bus = {(bus, cob_id) for bus in on for cob_id in (od.NMT_COB_ID, od.SYNC_FRAME_COB_ID, heartbeat)}
     return Roles(
         sdo_requests | frozenset(rpdos) | on_every_bus,
@@ -669,7 +670,7 @@ class OpenReplay:
         for _ in scene.buses:
             channel = private_channel()
             for buses in (far_buses, near_buses):
-                buses.append(stack.enter_context(open_bus(scene.bus.model_copy(update=_BUS), channel)))
+                buses.append(stack.enter_context(open_bus(can_bus(scene.bus).model_copy(update=_BUS), channel)))
         self._left_out: list[str] = []
         self._stop = "none"
         self._wall = WallClock()
@@ -689,7 +690,7 @@ class OpenReplay:
         drives = [parts.build_servo_drive(axis, *by_name[axis.bus], dry_run=dry_run) for axis in scene.axes]
         self._follow_older_master(drives)
         return (JoinedRig if self._joins else Rig)(
-            can_buses(links, drives, scene.bus), drives, scene.bus, [port.places for port in scene.ports]
+            can_buses(links, drives, can_bus(scene.bus)), drives, scene.bus, [port.places for port in scene.ports]
         )
 
     def _follow_older_master(self, drives: list[ServoDrive]) -> None:

@@ -26,6 +26,7 @@ from canhaptic.logs.bus_reader import Frame, read_bus_log
 from canhaptic.logs.decoder import BusDecoder
 from canhaptic.logs.writer_process import BusLogWriter
 from canhaptic.scene.build import build
+from canhaptic.scene.buses import can_bus
 from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
@@ -191,7 +192,7 @@ def record(plan: Plan, path: Path) -> str:
         group = build_drive_group(scene, far_bus)
         link = Link(near_bus, VirtualClock([group]), writer)
         drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
-        rig = Rig(can_buses(link, drives, scene.bus), drives, scene.bus)
+        rig = Rig(can_buses(link, drives, can_bus(scene.bus)), drives, scene.bus)
 
         def inject(cycles: int) -> None:
             if cycles == plan.fault_cycle:

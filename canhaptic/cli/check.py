@@ -18,6 +18,7 @@ from canhaptic.axis_units import counted, si, stiffness_unit
 from canhaptic.cli.check_eds import WORDS
 from canhaptic.cli.long_command import unguarded
 from canhaptic.cli.options import scene_of
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.bus_budget import BusBudget, require_budget
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.profile.fitness import Finding, Verdict
@@ -127,7 +128,7 @@ def checked(scene: Scene) -> dict[str, Any]:
 def _findings_of(scene: Scene, *, asks_drives: bool = False) -> "_CheckFindings":
     axes = [axis.parameters for axis in scene.axes]
     dictionaries = [axis.dictionary() for axis in axes]
-    on_can = {name: bus for name, bus in scene.buses if kind_of(bus) == "can"}
+    on_can = {name: bus for name, bus in scene.buses if isinstance(bus, CanBusParameters)}
     of_axes = zip(dictionaries, scene.axes, strict=True)
     maps = [(of.bus, choose_map(d, of.parameters)) for d, of in of_axes if of.bus in on_can]
     if not scene.unread:

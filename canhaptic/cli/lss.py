@@ -9,6 +9,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.lss import give_node_id
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import InputError
+from canhaptic.scene.buses import can_bus
 
 _LARGEST_NODE_ID = 127
 
@@ -26,7 +27,8 @@ def execute(arguments: argparse.Namespace) -> int:
     if len(buses) != 1:
         raise InputError(f"--bus: got {arguments.bus}, expected one of: {', '.join(bus.name for bus in scene.buses)}")
     dialogue = dialogue_of(scene, yes=arguments.yes)
-    with open_bus(buses[0], buses[0].channel) as bus:
+    found = can_bus(buses[0])
+    with open_bus(found, found.channel) as bus:
         link = Link(bus, WallClock())
         given = give_node_id(link, arguments.node, arguments.identity, dialogue.confirm, dialogue.tell)
     return 0 if given else 1

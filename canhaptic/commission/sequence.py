@@ -70,7 +70,7 @@ def identify(session: Session) -> None:
     for link in {drive.link: None for drive in on_can}:
         on_link = [n for n, drive in enumerate(session.drives) if drive in on_can and drive.link is link]
         known = [session.drives[n].axis.node_id for n in on_link]
-        strangers = _scan(link, known, session.scene.bus.master_id)
+        strangers = _scan(link, known, session.drives[on_link[0]].bus.master_id)
         found = ", ".join(str(node) for node in sorted([*known, *strangers]))
         text = f"node {', '.join(map(str, strangers))} is not in the configuration: identify it before you go on"
         expected = ", ".join(map(str, sorted(known)))

@@ -12,13 +12,16 @@ import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 import can
 from can.interfaces import BACKENDS
 
 from canhaptic.errors import CanHapticError, InputError, LinkError
 from canhaptic.registry import nearest
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeIs
 
 
 class BusSettings(Protocol):
@@ -38,6 +41,20 @@ class BusSettings(Protocol):
     @property
     def sample_time(self) -> float:
         """Sample time [s]."""
+
+
+class LineSettings(Protocol):
+    """Settings of one EtherCAT line, as a scene has them."""
+
+    type: Literal["ethercat"]
+    """Kind of bus."""
+    interface: str
+    """`virtual`, or a network interface."""
+
+
+def is_line(bus: BusSettings | LineSettings) -> "TypeIs[LineSettings]":
+    """Whether a bus is an EtherCAT line."""
+    return getattr(bus, "type", "can") == "ethercat"
 
 
 _OF_THE_SCENE: Final = ("interface", "channel", "bitrate")

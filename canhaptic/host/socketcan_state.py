@@ -15,32 +15,35 @@ from typing import Any, Final
 
 from canhaptic.errors import LinkError
 from canhaptic.host.findings import PreflightFinding, Row, row
-from canhaptic.host.interfaces import BusSettings
+from canhaptic.host.interfaces import BusSettings, LineSettings, is_line
 
 Runner = Callable[[list[str]], "subprocess.CompletedProcess[str]"]
 
 _ALARMING_ERRORS: Final = 96  # the error counter from which a controller warns (ISO 11898-1)
 
 
-def preflight(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = None) -> list[PreflightFinding]:
+def preflight(
+    buses: Iterable[tuple[BusSettings | LineSettings, int]], run: Runner | None = None
+) -> list[PreflightFinding]:
     """Judge every SocketCAN interface of a scene, and that of an EtherCAT line; others have no findings.
 
     Args:
         buses: Buses of the scene, and the number of drives on each.
         run: Function that runs a command and returns its output; a subprocess by default.
     """
-    findings = []
+    findings = list[PreflightFinding]()
     for bus, axes in buses:
-        if bus.interface == "socketcan":
-            findings += _inspect_interface(str(bus.channel), bus, axes, run or _run)
-        elif getattr(bus, "type", "can") == "ethercat" and bus.interface != "virtual":
+        if not is_line(bus):
+            is_judged = bus.interface == "socketcan"
+            findings += _inspect_interface(str(bus.channel), bus, axes, run or _run) if is_judged else ()
+        elif bus.interface != "virtual":
             from canhaptic.host.ethernet_state import inspect_interface
 
             findings += inspect_interface(bus.interface)
     return findings
 
 
-def all_links_are_virtual(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = None) -> bool:
+def all_links_are_virtual(buses: Iterable[tuple[BusSettings | LineSettings, int]], run: Runner | None = None) -> bool:
     """Return whether no bus of a scene can have a real drive.
 
     Virtual are the bus within this process, and interfaces that the kernel reports as vcan, vxcan or, for EtherCAT, as
@@ -53,14 +56,16 @@ def all_links_are_virtual(buses: Iterable[tuple[BusSettings, int]], run: Runner 
     return all(_is_virtual(bus, run or _run) for bus, _ in buses)
 
 
-def _is_virtual(bus: BusSettings, run: Runner) -> bool:
-    is_ethercat = getattr(bus, "type", "can") == "ethercat"
-    if bus.interface == "virtual" or not (is_ethercat or bus.interface == "socketcan"):
-        return bus.interface == "virtual"
+def _is_virtual(bus: BusSettings | LineSettings, run: Runner) -> bool:
+    if bus.interface == "virtual":
+        return True
     try:
-        [link] = json.loads(run(_question(bus.interface if is_ethercat else str(bus.channel))).stdout)
-        if is_ethercat:
+        if is_line(bus):
+            [link] = json.loads(run(_question(bus.interface)).stdout)
             return link["linkinfo"]["info_kind"] == "veth" and "master" not in link
+        if bus.interface != "socketcan":
+            return False
+        [link] = json.loads(run(_question(str(bus.channel))).stdout)
         return link["linkinfo"]["info_kind"] in ("vcan", "vxcan")
     except (OSError, subprocess.SubprocessError, ValueError, KeyError, TypeError):
         return False
@@ -70,7 +75,9 @@ def _question(channel: str) -> list[str]:
     return ["ip", "-details", "-statistics", "-json", "link", "show", "dev", channel]
 
 
-def require_preflight(buses: Iterable[tuple[BusSettings, int]], run: Runner | None = None) -> list[PreflightFinding]:
+def require_preflight(
+    buses: Iterable[tuple[BusSettings | LineSettings, int]], run: Runner | None = None
+) -> list[PreflightFinding]:
     """Check the CAN interfaces before a run; return the notes, and raise if one is unfit.
 
     Raises:

@@ -19,14 +19,13 @@ from canhaptic.control.ledger import DEFAULT_GROWTH, DEFAULT_LIMIT, EnergyLossMe
 from canhaptic.control.ports import Port
 from canhaptic.control.verdict import GUARANTEEING, PortResult
 from canhaptic.cycle import Cycle, run
-from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.bus_cycle import BusCycle
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CanHapticError, InputError, cause_of
 from canhaptic.result import RunResult, run_result
-from canhaptic.scene.buses import BUSES, kind_of, part
+from canhaptic.scene.buses import BUSES, BusParameters, kind_of, part
 from canhaptic.scene.models import FAR, AxisScene, Scene
 from canhaptic.scene.parts import build_axis_meters, build_ports, build_servo_drive, require_torque_axis
 from canhaptic.signals import SimulatedPeer, Truth
@@ -117,17 +116,17 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
     return notes
 
 
-def _with_channel(bus: CanBusParameters) -> Any:
+def _with_channel(bus: BusParameters) -> Any:
     return part(kind, "named")(bus) if "named" in BUSES[kind := kind_of(bus)] else bus
 
 
-def _opened(named: Sequence[CanBusParameters], stack: ExitStack) -> "list[can.BusABC | None]":
+def _opened(named: Sequence[BusParameters], stack: ExitStack) -> "list[can.BusABC | None]":
     """Return one connection to each bus, closed with the stack; None for a line, which has no end of its own."""
     return [part(kind, "open")(of, stack) if "open" in BUSES[kind := kind_of(of)] else None for of in named]
 
 
 def _simulated_side(
-    scene: Scene, named: Sequence[CanBusParameters], stack: ExitStack
+    scene: Scene, named: Sequence[BusParameters], stack: ExitStack
 ) -> "tuple[list[DriveGroup | Cable], Drives | None]":
     """Return the simulated drives of each bus, and of all buses in the order of the axes; none with real drives."""
     if not scene.simulated:

@@ -3,13 +3,22 @@
 Nothing of a kind is imported before a scene names it.
 """
 
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from pydantic import ValidationInfo, ValidatorFunctionWrapHandler
 
+from canhaptic.drive.axis_parameters import CanBusParameters
+from canhaptic.errors import InputError
 from canhaptic.registry import load
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.units import Parameters, UnitContext
+
+if TYPE_CHECKING:
+    from canhaptic.drive.ethercat.parameters import EthercatBusParameters
+
+    BusParameters: TypeAlias = CanBusParameters | EthercatBusParameters
+else:
+    BusParameters = CanBusParameters  # by which pydantic reads a bus; `read_bus` reads a line before it
 
 BUSES: Final = {
     "can": {
@@ -49,6 +58,17 @@ ETHERCAT_EFFECTS: Final = ("drift", "late", "lost", "answer_lost", "low_counter"
 def kind_of(bus: Parameters) -> str:
     """Return the kind of a bus from its parameters."""
     return str(getattr(bus, "type", "can"))
+
+
+def can_bus(bus: BusParameters) -> CanBusParameters:
+    """Return a bus where only a CAN bus will do.
+
+    Raises:
+        InputError: It is an EtherCAT line.
+    """
+    if not isinstance(bus, CanBusParameters):
+        raise InputError(f"got an EtherCAT line ({bus.interface}), expected a CAN bus; this is for CAN alone")
+    return bus
 
 
 def part(kind: str, name: str) -> Any:

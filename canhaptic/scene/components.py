@@ -15,9 +15,9 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.errors import ParameterError
 from canhaptic.registry import load
+from canhaptic.scene.buses import BusParameters
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.units import Parameters, UnitContext, shown
 
@@ -42,7 +42,7 @@ OWN_MODULE: Final = "_canhaptic_own_"
 class SceneContext(UnitContext):
     """Context of the validation of a scene."""
 
-    bus: CanBusParameters | None = None  # once it is validated
+    bus: BusParameters | None = None  # once it is validated
     simulated: bool = False  # as that of `Scene`, once the bus is validated
     folder: Path = Path()  # of the scene
     use: CodeUse = "refused"

@@ -12,7 +12,7 @@ from canhaptic.drive.profile.fitness import Finding, Verdict, limit_objection, p
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import BusBudgetError, DictionaryError, ParameterError
 from canhaptic.host.interfaces import interface_faults
-from canhaptic.scene.buses import DICTIONARIES, PLACES, kind_of, part
+from canhaptic.scene.buses import DICTIONARIES, PLACES, BusParameters, kind_of, part
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation
 from canhaptic.scene.layout import bus_section
@@ -56,7 +56,7 @@ def cross_check(scene: Scene, sections: MarkedMapping, faults: Diagnostics, *, b
 
         check_plants(scene, sections, faults)
     for index, (name, bus) in enumerate(scene.buses):
-        if None not in maps[name] and not beyond_bus and kind_of(bus) == "can":
+        if None not in maps[name] and not beyond_bus and isinstance(bus, CanBusParameters):
             try:
                 require_budget(bus, [axis_map for axis_map in maps[name] if axis_map is not None])
             except BusBudgetError as error:
@@ -70,7 +70,7 @@ class _Checked(NamedTuple):
     first: AxisScene  # of its port
     entry: MarkedMapping  # its section as written
     loop: MarkedMapping  # section `passivity` with its loop: its own, the group's or the shared one
-    bus: CanBusParameters
+    bus: BusParameters
     passivity: ComponentSpec  # algorithm that renders on it
     is_real: bool
     is_coupled: bool  # whether the scene has simulated mechanisms
@@ -167,7 +167,7 @@ def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> 
     is_virtual = [interface == "virtual" for interface, _ in places]
     for index, (name, bus) in enumerate(scene.buses):
         section, before = bus_section(sections, index), places.index(places[index])
-        for key, message in interface_faults(bus) if kind_of(bus) == "can" else _faults_of_line(bus, scene):
+        for key, message in interface_faults(bus) if isinstance(bus, CanBusParameters) else _faults_of_line(scene):
             faults.add(section.value_at(key), message)
         if before < index and (bus.channel is not None or not is_virtual[index]):
             text = f"interface {bus.interface!r}, channel {shown(bus.channel)} is bus {names[before]!r} already"
@@ -192,7 +192,7 @@ def _check_buses(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> 
         faults.add(at, f"got {', '.join(map(repr, unknown))}, which names no bus of the scene; expected: {known}")
 
 
-def _faults_of_line(bus: CanBusParameters, scene: Scene) -> Iterator[tuple[str, str]]:
+def _faults_of_line(scene: Scene) -> Iterator[tuple[str, str]]:
     """Yield the keys of an EtherCAT line that cannot be served."""
     positions = sorted(getattr(axis.parameters, "position", 0) for axis in scene.axes_on(scene.bus_name))
     if scene.simulation is None:  # drives, couplers and terminals without an axis may lie between
@@ -287,9 +287,9 @@ def _check_dictionary(of: _Checked, faults: Diagnostics) -> AxisMap | None:
     return None if refusals or kind != "can" else choose_map(dictionary, given)
 
 
-def findings_on(dictionary: DriveDictionary, axis: AxisParameters, bus: CanBusParameters) -> list[Finding]:
+def findings_on(dictionary: DriveDictionary, axis: AxisParameters, bus: BusParameters) -> list[Finding]:
     """Return the findings on the dictionary of a drive for its kind of bus."""
-    if (kind := kind_of(bus)) == "can":
+    if isinstance(bus, CanBusParameters):
         return check_dictionary(dictionary, axis, bus)
-    of_image: list[Finding] = part(kind, "findings")(dictionary, axis)
+    of_image: list[Finding] = part(kind_of(bus), "findings")(dictionary, axis)
     return [*profile_findings(dictionary, axis, bus.sample_time_ns), *of_image]

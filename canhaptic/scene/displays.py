@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 from canhaptic.control.admittance import build_display_controller, build_display_group
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.motion_checks import MassAsked, MassFelt
-from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.errors import InputError, ParameterError
+from canhaptic.scene.buses import BusParameters
 from canhaptic.scene.models import AxisScene, Port, Scene
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def mass_felt(axis: AxisScene, port: Port) -> MassFelt | None:
     return MassFelt(MassAsked(environment.mass, environment.stiffness, low=low, high=high, **times))
 
 
-def display_faults(axis: AxisScene, bus: CanBusParameters, *, is_real: bool) -> Iterator[tuple[str, str]]:
+def display_faults(axis: AxisScene, bus: BusParameters, *, is_real: bool) -> Iterator[tuple[str, str]]:
     """Yield key and text of each fault of an admittance display, or of an axis that is only simulated as one."""
     given, display, simulation = axis.parameters, axis.parameters.admittance, axis.simulation
     if display is None:

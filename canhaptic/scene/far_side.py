@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, cast
 from canhaptic.drive.profile.quirks import TWINS
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.registry import load
-from canhaptic.scene.buses import kind_of, part
+from canhaptic.scene.buses import BusParameters, can_bus, kind_of, part
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, SourceLocation
 from canhaptic.scene.models import SCALING_KEYS, SIMULATION_PARTS, AxisScene, AxisSimulation, MechanismScene, Scene
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from canhaptic.control.axis_meter import Accuracy
     from canhaptic.control.passivity import LoopProperties
-    from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
+    from canhaptic.drive.axis_parameters import AxisParameters
     from canhaptic.sim.bus.faulty_bus import BusEffects, FaultyBus
     from canhaptic.sim.drive import SimulatedDriveParameters
     from canhaptic.sim.drive.can.drive_node import DriveGroup
@@ -111,7 +111,7 @@ def with_effects(
     from canhaptic.sim.bus.faulty_bus import FaultyBus
 
     seed = scene.simulation.seed + _SEEDS_APART * index
-    return FaultyBus(bus, effects, bitrate=parameters.bitrate, seed=seed, side=side)
+    return FaultyBus(bus, effects, bitrate=can_bus(parameters).bitrate, seed=seed, side=side)
 
 
 def build_drive_group(scene: Scene, bus: "can.BusABC", name: str | None = None) -> "DriveGroup":
@@ -232,7 +232,7 @@ def lag_of(axis: AxisScene) -> float:
     return min(slowest(lag, axis.parameters.torque_limit or inf, axis.parameters.largest_speed), _NO_LAG)
 
 
-def least_lateness(axis: AxisScene, bus: "CanBusParameters | None", effects: "BusEffects | None") -> dict[str, float]:
+def least_lateness(axis: AxisScene, bus: "BusParameters | None", effects: "BusEffects | None") -> dict[str, float]:
     """Return the lower ends of `torque_window` and `current_lag` of a simulated axis [s].
 
     On a bus that delays every frame, the position and the torque that answers it come late one after the other.

@@ -18,12 +18,12 @@ from pydantic import ValidationError
 
 from canhaptic.canopen.objects import SYNC_FRAME_COB_ID
 from canhaptic.control.passivity import ALGORITHMS, LoopProperties
-from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.bus_budget import torque_latency, worst_frame
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.errors import CanHapticError, InputError, SceneConflictError, SceneError
 from canhaptic.files import read_regular, scene_file
 from canhaptic.registry import load
+from canhaptic.scene.buses import BusParameters, can_bus
 from canhaptic.scene.components import CodeUse, ComponentSpec, SceneContext
 from canhaptic.scene.cross_checks import cross_check
 from canhaptic.scene.document import Diagnostics, MarkedMapping, SourceLocation, mark_plain, parse_yaml
@@ -243,17 +243,17 @@ def _late(effects: "BusEffects", cob_id: int | None) -> float:
     return late + (effects.reorder_delay if effects.reorder else 0.0)
 
 
-def _jitter(effects: "BusEffects | None", bus: CanBusParameters) -> float:
+def _jitter(effects: "BusEffects | None", bus: BusParameters) -> float:
     """Return the largest deviation of a hold from the sample time due to a late SYNC, as a fraction of it."""
     if effects is None:
         return 0.0
     late = _late(effects, SYNC_FRAME_COB_ID)
     if effects.wire_time:
-        late += worst_frame() / bus.bitrate  # one that had just begun
+        late += worst_frame() / can_bus(bus).bitrate  # one that had just begun
     return min(_MOST_JITTER, late / bus.sample_time)
 
 
-def _window(effects: "BusEffects | None", bus: CanBusParameters, axes: Sequence[AxisScene]) -> float:
+def _window(effects: "BusEffects | None", bus: BusParameters, axes: Sequence[AxisScene]) -> float:
     """Return the latest time after its SYNC at which a torque acts [s]."""
     if bus.rpdo == "synchronous":
         return 0.0
@@ -266,7 +266,7 @@ def _window(effects: "BusEffects | None", bus: CanBusParameters, axes: Sequence[
         maps = [choose_map(axis.dictionary(), axis) for axis in given]
     except (CanHapticError, OSError):
         return window  # noted with the dictionary
-    return window + torque_latency(bus, maps)
+    return window + torque_latency(can_bus(bus), maps)
 
 
 def for_program(scene: Scene, guard: str) -> Scene:

@@ -40,7 +40,7 @@ from canhaptic.drive.cycle_parameters import CycleParameters
 from canhaptic.drive.profile.causality import ADMITTANCE
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import InputError
-from canhaptic.scene.buses import DICTIONARIES, kind_of, read_axis, read_bus
+from canhaptic.scene.buses import DICTIONARIES, BusParameters, kind_of, read_axis, read_bus
 from canhaptic.scene.components import READY, ComponentOf, ComponentSpec, SceneContext
 from canhaptic.scene.document import MarkedMapping
 from canhaptic.sim.plant import AccuracyParameters
@@ -65,7 +65,7 @@ class FurtherBus(Parameters):
     options: dict[str, Any] | None = None
     """Further keyword arguments of `can.Bus`; None: as the first bus."""
 
-    def over(self, first: CanBusParameters) -> CanBusParameters:
+    def over(self, first: BusParameters) -> CanBusParameters:
         """Return all parameters of this bus; those that it lacks are the first bus's, where that is a CAN bus too."""
         own = {key: value for key, value in self.model_dump(exclude={"name"}).items() if value is not None}
         if not isinstance(first, CanBusParameters):
@@ -78,7 +78,7 @@ class NamedBus(NamedTuple):
     """One bus with the parameters in effect on it."""
 
     name: str  # empty where the scene has one bus without a name
-    parameters: CanBusParameters
+    parameters: BusParameters
 
 
 _OF_ITSELF: Final = ComponentSpec("identity", Parameters())  # kinematics of an axis that renders alone
@@ -378,7 +378,7 @@ class MechanismScene:
     substeps: int = 1
 
 
-def _known_bus(bus: CanBusParameters, info: Info[SceneContext]) -> CanBusParameters:
+def _known_bus(bus: BusParameters, info: Info[SceneContext]) -> BusParameters:
     info.context.bus = bus
     info.context.simulated = info.context.simulated and bus.interface == "virtual"
     return bus
@@ -433,7 +433,7 @@ class Scene:
     overrides: tuple[str, ...]
     run: RunParameters
     log: LogParameters
-    bus: Annotated[SerializeAsAny[CanBusParameters], WrapValidator(read_bus), AfterValidator(_known_bus)]
+    bus: Annotated[SerializeAsAny[BusParameters], WrapValidator(read_bus), AfterValidator(_known_bus)]
     axes: tuple[Annotated[AxisScene, WrapValidator(_axis)], ...]
     simulation: SimulationParameters | None
     bus_effects: Annotated[BusEffects | None, OnDemand("canhaptic.sim.bus.faulty_bus:BusEffects")] = None
@@ -461,7 +461,7 @@ class Scene:
         return self.auto_accuracy.auto if self.auto_accuracy else None
 
     @property
-    def loaded_buses(self) -> list[tuple[CanBusParameters, int]]:
+    def loaded_buses(self) -> list[tuple[BusParameters, int]]:
         """The parameters of each bus, and the number of drives on it."""
         return [(bus.parameters, sum(axis.bus == bus.name for axis in self.axes)) for bus in self.buses]
 
@@ -516,7 +516,7 @@ class Scene:
         """Return the axes on one bus, by its name."""
         return tuple(axis for axis in self.axes if axis.bus == bus)
 
-    def bus_of(self, axis: AxisScene) -> CanBusParameters:
+    def bus_of(self, axis: AxisScene) -> BusParameters:
         """Return the bus that an axis is on."""
         return next(bus.parameters for bus in self.buses if bus.name == axis.bus)
 

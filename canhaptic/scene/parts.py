@@ -9,11 +9,10 @@ from canhaptic.control.environments import Environment, plain
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import Controller, LoopProperties, build_controller
 from canhaptic.control.ports import Port
-from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.registry import load
-from canhaptic.scene.buses import kind_of, part
+from canhaptic.scene.buses import BusParameters, kind_of, part
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import FAR, AxisScene, Scene
 from canhaptic.scene.models import Port as PortScene
@@ -219,7 +218,7 @@ def lateness_of(axis: AxisScene) -> float:
 
 
 def build_servo_drive(
-    axis: AxisScene, line: "Link | EthercatBusCycle", bus: CanBusParameters, *, dry_run: bool = False
+    axis: AxisScene, line: "Link | EthercatBusCycle", bus: BusParameters, *, dry_run: bool = False
 ) -> Any:
     """Return the master's image of the drive of one axis, of the kind of its bus.
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from canhaptic.control.axis_meter import AxisMeter
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.columns import ACTIVE_LIMITS, DRY_RUN, FRICTION_DECLARED, GROUP_AXES, Attribute, PortDescription
@@ -89,11 +90,7 @@ def _run_attributes(scene: Scene, pace: _Pace) -> dict[str, Attribute]:
         "clock_base": "virtual, from 0" if pace == "free" else "CLOCK_MONOTONIC",
         "pace": pace,
         "interface": scene.bus.interface,
-        **(
-            {"bitrate": scene.bus.bitrate}
-            if kind_of(scene.bus) == "can"
-            else {"frames": int(getattr(scene.bus, "frames", 1))}
-        ),
+        **({"bitrate": scene.bus.bitrate} if isinstance(scene.bus, CanBusParameters) else {"frames": scene.bus.frames}),
         "rate": scene.bus.rate,
         "rpdo": scene.bus.rpdo,
     }

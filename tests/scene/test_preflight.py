@@ -18,6 +18,7 @@ from canhaptic.host.socketcan_state import (
     require_preflight,
 )
 from canhaptic.scene.build import build
+from canhaptic.scene.buses import can_bus
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from tests.scene.scene_text import REPOSITORY
@@ -130,7 +131,7 @@ def test_the_default_queue_is_too_short_for_three_axes_and_not_for_one() -> None
     stdout = changed('"txqlen":64', '"txqlen":10')
     assert judged(stdout)["txqueuelen"].severity == "well"
     entry = json.loads(stdout)[0]
-    found = {f.item: f for f in preflight_module._judge_link("can0", entry, scene().bus, axes=3)}
+    found = {f.item: f for f in preflight_module._judge_link("can0", entry, can_bus(scene().bus), axes=3)}
     assert (found["txqueuelen"].severity, found["txqueuelen"].seen) == ("note", "10")
 
 
@@ -229,7 +230,7 @@ def test_a_marked_scene_runs_on_a_virtual_interface_alone(
 
 @pytest.mark.parametrize(("rate", "least"), [(1000.0, 20), (100.0, 200), (3.0e2, 67)])
 def test_the_least_restart_is_the_time_after_which_the_rig_has_stopped(rate: float, least: int) -> None:
-    assert _least_restart(scene(f"bus.rate={rate}").bus) == least
+    assert _least_restart(can_bus(scene(f"bus.rate={rate}").bus)) == least
 
 
 @pytest.mark.parametrize(("restart_ms", "is_accepted"), [(0, True), (5, False), (19, False), (20, True), (100, True)])

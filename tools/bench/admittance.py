@@ -23,6 +23,7 @@ from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.scene.build import build
+from canhaptic.scene.buses import can_bus
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
@@ -299,7 +300,7 @@ def bus_rows() -> list[Row]:
         one = experiment.rig.drives[0].map
     rows = []
     for rate in (1000, 500, 250):
-        bus = scene.bus.model_copy(update={"rate": float(rate)})
+        bus = can_bus(scene.bus).model_copy(update={"rate": float(rate)})
         axes = next(n for n in range(1, 40) if not bus_budget(bus, [one] * (n + 1)).fits)
         rows.append(Row(f"axes on one bus at {rate} Hz, force in the TPDO", axes, "1"))
         if rate == _TWO_BUSES_AT:

@@ -21,6 +21,7 @@ from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
+from canhaptic.scene.buses import can_bus
 from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_servo_drive
@@ -85,7 +86,7 @@ class BroughtUp:
             self.clock: Clock = VirtualClock(sides) if pace == "free" else WallClock(sides)
             link = Link(self.bus, self.clock)
             drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
-            Rig(can_buses(link, drives, scene.bus), drives, scene.bus).start()
+            Rig(can_buses(link, drives, can_bus(scene.bus)), drives, scene.bus).start()
             self._stack = stack.pop_all()
 
     def process(self, now: int) -> None:

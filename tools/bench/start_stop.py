@@ -12,6 +12,7 @@ from time import perf_counter
 
 from canhaptic.errors import RigError
 from canhaptic.scene.build import Experiment, build
+from canhaptic.scene.buses import can_bus
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tools.bench.demo import demo_of
 from tools.bench.report import Row, publish
@@ -72,7 +73,7 @@ def fault_reset(axes: int) -> float:
 def rows_for(axes: int) -> list[Row]:
     """Returns the figures of one number of axes."""
     name = f"{axes} axis" if axes == 1 else f"{axes} axes"
-    heartbeats = 2 * demo_of(axes, RATES[axes]).bus.heartbeat_period
+    heartbeats = 2 * can_bus(demo_of(axes, RATES[axes]).bus).heartbeat_period
     plain = [start_and_stop(axes, 0.0, ramp=True) for _ in range(REPEATS)]
     at_once = [start_and_stop(axes, 0.0, ramp=False) for _ in range(REPEATS)]
     slow = [start_and_stop(axes, SLOW, ramp=True) for _ in range(REPEATS)]

@@ -11,8 +11,9 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
+from canhaptic.canopen.code_texts import sdo_abort_text
 from canhaptic.drive.clock import Clock
-from canhaptic.errors import RigError
+from canhaptic.errors import RigError, SdoError
 
 AL_CONTROL: Final = 0x0120
 AL_STATUS: Final = 0x0130
@@ -51,6 +52,19 @@ class Identity(NamedTuple):
     product: int
     revision: int
     serial: int
+
+
+def sdo_error(place: tuple[int, int, int], code: int | None, what: str = "") -> SdoError:
+    """Return the error of a transfer that failed.
+
+    Args:
+        place: Drive, index and subindex of the object.
+        code: Abort code of CoE; None: none.
+        what: What happened; by default the words of the code.
+    """
+    drive, index, subindex = place
+    what = what or f"{sdo_abort_text(code or 0)} (abort {code:#010x})"
+    return SdoError(f"drive {drive}: object {index:#06x}:{subindex:02x}: {what}", index, subindex, code)
 
 
 class ImageSlice(NamedTuple):

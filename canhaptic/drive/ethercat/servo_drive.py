@@ -223,12 +223,13 @@ class EthercatDrive(TorqueAxis):
 
     def begin_counts(self) -> None:
         """Read the count of held torques with which the run begins; raise LinkError."""
-        self.counts_before = self._counts(self._held_by_host())
+        self.counts_before = self._counts()
 
-    def _counts(self, least: int) -> Reading | None:
-        """Return the count of the drive and that of the host, known to be `least` before; None where it has none."""
+    def _counts(self, least: int | None = None) -> Reading | None:
+        """Return the count of the drive and that of the host, `least` before (None: now); None where it has none."""
         if self.dictionary.get_variable(*SM_EVENT_MISSED) is None:
             return None
+        least = self._held_by_host() if least is None else least
         with suppress(SdoError):  # a drive that fails to tell is no contradiction
             return Reading(self.sdo.read(*SM_EVENT_MISSED), least, self._held_by_host())
         return None

@@ -9,7 +9,6 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple, Protocol
 
-from canhaptic.canopen.code_texts import sdo_abort_text
 from canhaptic.canopen.objects import SdoAbort
 from canhaptic.drive.clock import Clock
 from canhaptic.drive.ethercat.datagrams import FIRST, HEAD, TAIL, Command, Datagram, answers_of, frame_of
@@ -25,8 +24,9 @@ from canhaptic.drive.ethercat.segment import (
     ImageSlice,
     await_state,
     request_state,
+    sdo_error,
 )
-from canhaptic.errors import LinkError, SdoError
+from canhaptic.errors import LinkError
 
 _STATION: Final = 0x0010
 _FEATURES: Final = 0x0008
@@ -334,21 +334,21 @@ class ThinMaster:
         answer = self._transfer(place, _SDO.pack(0x40, index, subindex) + bytes(4))
         command = answer[0]
         if command >> 5 != 2:
-            raise _sdo_error(place, f"got answer {command:#04x}, expected an upload")
+            raise sdo_error(place, None, f"got answer {command:#04x}, expected an upload")
         if command & 2:
             return answer[4 : 8 - (command >> 2 & 3 if command & 1 else 0)]
         size, content, toggle = int.from_bytes(answer[4:8], "little"), answer[8:], 0
         while len(content) < min(size, _LARGEST_OBJECT):
             answer = self._transfer(place, bytes((0x60 | toggle,)) + bytes(7), is_segment=True)
             if answer[0] & 0xE0 or answer[0] & _TOGGLE != toggle:
-                raise _sdo_error(place, f"got answer {answer[0]:#04x}, expected the next segment")
+                raise sdo_error(place, None, f"got answer {answer[0]:#04x}, expected the next segment")
             part = answer[1 : 8 - (answer[0] >> 1 & 7)] if len(answer) <= 8 else answer[1:]
             content += part
             toggle ^= _TOGGLE
             if answer[0] & 1 or not part:
                 break
         if len(content) != size:
-            raise _sdo_error(place, f"got {len(content)} bytes, expected the {size} that it announced")
+            raise sdo_error(place, None, f"got {len(content)} bytes, expected the {size} that it announced")
         return content
 
     def write(self, drive: int, index: int, subindex: int, data: bytes) -> None:
@@ -363,13 +363,13 @@ class ThinMaster:
             rest = data[room:]
         answer, toggle = self._transfer(place, request), 0
         if answer[0] >> 5 != 3:
-            raise _sdo_error(place, f"got answer {answer[0]:#04x}, expected a download")
+            raise sdo_error(place, None, f"got answer {answer[0]:#04x}, expected a download")
         while rest:
             part, rest = rest[: room + 7], rest[room + 7 :]
             head = toggle | max(0, 7 - len(part)) << 1 | (not rest)
             answer = self._transfer(place, bytes((head,)) + part.ljust(7, b"\0"), is_segment=True)
             if answer[0] != 0x20 | toggle:
-                raise _sdo_error(place, f"got answer {answer[0]:#04x}, expected the segment to be confirmed")
+                raise sdo_error(place, None, f"got answer {answer[0]:#04x}, expected the segment to be confirmed")
             toggle ^= _TOGGLE
 
     def _transfer(self, place: tuple[int, int, int], request: bytes, *, is_segment: bool = False) -> bytes:
@@ -384,10 +384,10 @@ class ThinMaster:
                 continue
             if body[0] == 0x80:
                 code = _ABORT.unpack_from(body)[3]
-                raise _sdo_error(place, f"{sdo_abort_text(code)} (abort {code:#010x})", code)
+                raise sdo_error(place, code)
             if is_segment or _SDO.unpack_from(body)[1:] == (index, subindex):
                 return body
-        raise _sdo_error(place, f"no answer within {_MAIL_NS / 1e9:g} s", SdoAbort.TIMEOUT)
+        raise sdo_error(place, SdoAbort.TIMEOUT, f"no answer within {_MAIL_NS / 1e9:g} s")
 
     def _post(self, drive: int, request: bytes) -> None:
         """Put a request into the mailbox of a drive; raise LinkError where the mailbox stays full."""
@@ -428,8 +428,3 @@ class ThinMaster:
 
 _STATES: Final = FIRST + HEAD + 8 + TAIL  # places of the datagrams in a frame of the cycle
 _IMAGE: Final = _STATES + HEAD + 2 + TAIL
-
-
-def _sdo_error(place: tuple[int, int, int], what: str, code: int | None = None) -> SdoError:
-    drive, index, subindex = place
-    return SdoError(f"drive {drive}: object {index:#06x}:{subindex:02x}: {what}", index, subindex, code)

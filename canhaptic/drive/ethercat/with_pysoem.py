@@ -12,10 +12,18 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
-from canhaptic.canopen.code_texts import sdo_abort_text
 from canhaptic.canopen.objects import SdoAbort
 from canhaptic.drive.clock import Clock
-from canhaptic.drive.ethercat.segment import AlState, Cycle, Emergency, FrameKind, Identity, ImageSlice, request_state
+from canhaptic.drive.ethercat.segment import (
+    AlState,
+    Cycle,
+    Emergency,
+    FrameKind,
+    Identity,
+    ImageSlice,
+    request_state,
+    sdo_error,
+)
 from canhaptic.errors import InputError, LinkError, SdoError
 from canhaptic.extras import install_hint
 from canhaptic.host import capabilities
@@ -262,20 +270,16 @@ class PysoemSegment:
                 return ask()
             except (soem.WkcError, soem.PacketError) as error:
                 if not tries:
-                    raise self._sdo_error(*place, error) from error
+                    raise self._sdo_error(place, error) from error
             except (soem.SdoError, soem.MailboxError) as error:
-                raise self._sdo_error(*place, error) from error
+                raise self._sdo_error(place, error) from error
 
-    def _sdo_error(self, drive: int, index: int, subindex: int, error: Any) -> SdoError:
-        code: int | None = None
+    def _sdo_error(self, place: tuple[int, int, int], error: Any) -> SdoError:
         if isinstance(error, self._soem.SdoError):
-            code = error.abort_code & 0xFFFFFFFF
-            what = f"{sdo_abort_text(code)} (abort {code:#010x})"
-        elif isinstance(error, self._soem.WkcError):
-            code, what = SdoAbort.TIMEOUT, f"no answer to {_TRIES} requests"
-        else:
-            what = f"{error.desc} (error {error.error_code:#x} of the mailbox)"
-        return SdoError(f"drive {drive}: object {index:#06x}:{subindex:02x}: {what}", index, subindex, code)
+            return sdo_error(place, error.abort_code & 0xFFFFFFFF)
+        if isinstance(error, self._soem.WkcError):
+            return sdo_error(place, SdoAbort.TIMEOUT, f"no answer to {_TRIES} requests")
+        return sdo_error(place, None, f"{error.desc} (error {error.error_code:#x} of the mailbox)")
 
 
 def _emergency(of: Any) -> Emergency:

@@ -26,7 +26,6 @@ from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, group_kernel
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.multi_axis.group_kernel import GroupModel, MotionAhead, begin_motion, follow, write_efforts
-from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.kernels import Buffer, Kernel, list_of_zeros, new
 from canhaptic.kernels.records import record_of, records_of
 from canhaptic.lab.batch import closed_loop
@@ -36,6 +35,7 @@ from canhaptic.lab.batch.plants import EventMotors
 from canhaptic.lab.figures.meter import Meter, MeterSettings, count_branch, take_energy
 from canhaptic.lab.loop.axis_loop import EVERYWHERE, mechanism_moved
 from canhaptic.registry import load
+from canhaptic.scene.buses import BusParameters
 from canhaptic.scene.far_side import build_mechanism, build_plant
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, MechanismScene, Scene
@@ -458,7 +458,7 @@ def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
     return GroupCase(kernel, world, settings, of_motors, found, true, explains, group_kernel.why_not_world(world))
 
 
-def _loop_of(axis: AxisScene, bus: CanBusParameters) -> LoopSettings:
+def _loop_of(axis: AxisScene, bus: BusParameters) -> LoopSettings:
     """Return the loop settings of one motor, with the effects of its plant on torque and encoder."""
     parameters, of = axis.parameters, axis.simulation
     signals = Signals() if of is None else event_plant.signals_of(of.effects, bus.sample_time, of.seed)

@@ -1,6 +1,7 @@
 """A rig on EtherCAT: start, cycle and every way out, on simulated drives down to the bytes."""
 
 from itertools import count
+from types import SimpleNamespace
 
 import pytest
 
@@ -217,3 +218,11 @@ def test_two_late_frames_in_a_row_are_no_slip_of_the_host_and_no_two_samples_are
     assert sum(not fresh for fresh, _, _ in seen) == 8
     assert all(index == count == k for k, (_, index, count) in enumerate(seen))
     bench.rig.stop()
+
+
+def test_a_drive_that_counts_no_held_torques_is_not_asked_for_its_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+    monkeypatch.setattr(bench.axes[0], "dictionary", SimpleNamespace(get_variable=lambda *_place: None))
+    monkeypatch.setattr(bench.line.segment, "register", pytest.fail)
+    bench.axes[0].begin_counts()
+    assert bench.axes[0].counts_before is None

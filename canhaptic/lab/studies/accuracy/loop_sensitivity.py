@@ -36,6 +36,7 @@ from canhaptic.lab.loop.admittance_loop import AdmittanceRun
 from canhaptic.lab.loop.axis_loop import at_rate, parts_of
 from canhaptic.lab.reference import ContinuousRun
 from canhaptic.lab.studies import Row
+from canhaptic.scene.buses import can_bus
 from canhaptic.scene.load import with_loops
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
@@ -334,7 +335,7 @@ def bus_figures(variant: Variant, scene: Scene) -> Row:
     for bus in dict.fromkeys(axis.bus for axis in variant.scene.axes):
         given = [axis.parameters for axis in scene.axes if axis.bus == bus]
         maps = [choose_map(of.dictionary(), of) for of in given]
-        budgets.append(bus_budget(variant.scene.bus, maps))
+        budgets.append(bus_budget(can_bus(variant.scene.bus), maps))
     budget = max(budgets, key=lambda budget: budget.periodic_load)
     return {"bus_load": budget.periodic_load, "worst_cycle": budget.worst_cycle, "bus_fits": budget.fits}
 

@@ -25,6 +25,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import ProcessorClock, VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.scene.build import build
+from canhaptic.scene.buses import can_bus
 from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_servo_drive
@@ -48,15 +49,16 @@ def exchange_time(scene: Scene, most: int) -> float | None:
     """
     if not scene.simulated or scene.bus_effects is not None or len(scene.buses) != 1:
         return None
+    bus = can_bus(scene.bus)
     with ExitStack() as stack:
         channel = private_channel()
-        ends = [open_bus(scene.bus, channel) for _ in range(2)]
+        ends = [open_bus(bus, channel) for _ in range(2)]
         for end in ends:
             stack.callback(end.shutdown)
         far_side = _TimedFarSide(build_drive_group(scene, ends[0]))
         link = Link(ends[1], VirtualClock([far_side]))
         drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
-        rig = Rig(can_buses(link, drives, scene.bus), drives, scene.bus)
+        rig = Rig(can_buses(link, drives, bus), drives, scene.bus)
         cycle = Cycle(rig, axis_ports(_Idle() for _ in scene.axes))
         return _fastest_block(cycle, min(most, _CYCLES), lambda: far_side.clock.now() - far_side.spent)
 
