@@ -288,7 +288,7 @@ def pull_the_master(session: Session) -> None:
     rig.start()
     try:
         _hold_weights(session)
-        silence = _SILENCES * rig.bus.master_silence_ns
+        silence = _SILENCES * max(drive.bus.master_silence_ns for drive in session.drives)
         for bus in rig.buses:
             bus.pump(bus.clock.now() + silence)
         for axis in axes:
@@ -308,7 +308,7 @@ def _hold_weights(session: Session) -> None:
 
 def _judge_watchdog(session: Session, axis: int) -> None:
     drive = session.drives[axis]
-    limit = f"within {_SILENCES * session.rig.bus.master_silence_ns / 1e6:g} ms"
+    limit = f"within {_SILENCES * drive.bus.master_silence_ns / 1e6:g} ms"
     try:
         state = drive.read_state()
     except SdoError as error:

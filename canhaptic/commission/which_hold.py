@@ -274,7 +274,8 @@ def _latency(session: Session, drive: Any) -> float:
     """Return the longest time from a SYNC until the torque that answers it has arrived [s]; 0 on a line."""
     if not isinstance(drive, ServoDrive):
         return 0.0
-    return torque_latency(drive.bus, [other.map for other in session.drives if other.link is drive.link])
+    on_can = (other for other in session.drives if isinstance(other, ServoDrive))
+    return torque_latency(drive.bus, [other.map for other in on_can if other.link is drive.link])
 
 
 def as_declared(session: Session, axis: int, law: OpenLoop) -> _Array:

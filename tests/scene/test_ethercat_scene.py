@@ -231,6 +231,14 @@ def test_a_rig_on_a_line_is_commissioned_as_on_can_and_its_hold_is_confirmed_at_
     assert account["ports"]["handle"]["verdict"] == "yes"
 
 
+@pytest.mark.slow
+def test_a_rig_of_a_line_and_a_can_bus_is_commissioned(tmp_path: Path) -> None:
+    """Each drive is watched for as long as its own bus lets it be silent."""
+    mixed, done = tmp_path / "mixed.yaml", tmp_path / "done.yaml"
+    mixed.write_text(yaml.safe_dump(both()))
+    assert main(["commission", str(mixed), "--yes", "--duration", "1", "--out", str(done)]) == 0
+
+
 def test_a_can_rig_loads_nothing_of_ethercat() -> None:
     modules = loaded_modules(ROOT, scene=str(TWIN), duration=0.02)
     assert "canhaptic.drive.can.servo_drive" in modules
