@@ -1,8 +1,8 @@
 """Scene of `canhaptic touch`: one handle under `unprotected` and one under a passivity algorithm, held by one hand.
 
 A handle is an axis, an admittance display, an xy stage, a five-bar, or two admittance displays as a plane. Both handles
-belong to one simulated rig with a bus each and the same SYNC, so that a delay of the computer affects both alike. The
-link timeouts are long: nothing real moves, and a busy browser must not end the run.
+belong to one simulated rig with a CAN bus each, or a line for both, and the same SYNC, so that a delay of the computer
+affects both alike. The link timeouts are long: nothing real moves, and a busy browser must not end the run.
 """
 
 from collections.abc import Sequence
@@ -20,6 +20,7 @@ from canhaptic.control.port_hamiltonian.shapes.sphere import Sphere
 from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import InputError
 from canhaptic.lab.loop.axis_loop import under
+from canhaptic.scene.buses import kind_of
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.far_side import build_mechanism
 from canhaptic.scene.method import simulation_of
@@ -140,11 +141,24 @@ def reach(motion: Any, rest: float, start: float) -> tuple[float, float]:
 
 
 def on_two_buses(scene: Scene, axes: Sequence[AxisScene], sides: tuple[Side, Side], **parts: Any) -> Scene:
-    """Return a scene with a bus for each handle and long link timeouts; `parts` replace its groups and mechanisms."""
-    bus = scene.bus.model_copy(update={"heartbeat_timeout": 10.0, "stop_cycles": max(2000, scene.bus.stop_cycles)})
-    log, further = scene.log.model_copy(update={"energy": None, "bus": None}), (FurtherBus(name=sides[1].name),)
+    """Return a scene with a CAN bus for each handle, or a line for both; `parts` replace its groups and mechanisms.
+
+    Its link timeouts are long.
+    """
+    further, patient = [FurtherBus(name=sides[1].name)], {"heartbeat_timeout": 10.0}
+    if kind_of(scene.bus) == "ethercat":
+        further, patient = [], {"watchdog": 6.0}
+        axes = [replace(_changed(axis, position=place), bus=sides[0].name) for place, axis in enumerate(axes)]
+    bus = scene.bus.model_copy(update={**patient, "stop_cycles": max(2000, scene.bus.stop_cycles)})
+    log = scene.log.model_copy(update={"energy": None, "bus": None})
     parts = {"groups": (), "mechanisms": (), **parts}
-    return replace(scene, bus=bus, bus_name=sides[0].name, further_buses=further, axes=tuple(axes), log=log, **parts)
+    return replace(
+        scene, bus=bus, bus_name=sides[0].name, further_buses=tuple(further), axes=tuple(axes), log=log, **parts
+    )
+
+
+def _changed(axis: AxisScene, **changes: Any) -> AxisScene:
+    return replace(axis, parameters=axis.parameters.model_copy(update=changes))
 
 
 Shape = dict[str, Any]
@@ -182,7 +196,7 @@ def _held_axis(axis: AxisScene, side: Side, port: str) -> AxisScene:
 def _named(axis: AxisScene, side: Side, port: str, **changes: Any) -> AxisScene:
     """Return an axis of one handle with the name `port` and changed parameters."""
     changes |= {"name": port, "energy_loss_limit": "none"}
-    return replace(axis, parameters=axis.parameters.model_copy(update=changes), bus=side.name)
+    return replace(_changed(axis, **changes), bus=side.name)
 
 
 def _hand_of(axis: AxisScene) -> tuple[UserParameters, float]:

@@ -53,6 +53,12 @@ def touched_by_a_sine(name: str, cycles: int, overrides: Sequence[str] = ()) -> 
         return dict(zip(names, judge.least, strict=True))
 
 
+def test_both_sides_of_a_scene_on_a_line_are_drives_of_this_line() -> None:
+    least = touched_by_a_sine("ethercat.yaml", 150)
+    assert list(least) == ["unprotected", "guarded"]
+    assert least["guarded"] >= -1e-9
+
+
 @pytest.mark.slow
 def test_a_stiff_wall_gives_energy_out_unprotected_alone() -> None:
     least = touched_by_a_sine("hard/stiff_wall.yaml", 3000)
