@@ -37,7 +37,7 @@ from canhaptic.logs.text_lines import SkippedKind
 from canhaptic.result import RunResult, run_result
 from canhaptic.scene import parts
 from canhaptic.scene.build import build_loss_meters
-from canhaptic.scene.buses import can_bus
+from canhaptic.scene.buses import can_bus, kind_of
 from canhaptic.scene.models import Scene
 from canhaptic.scene.scene_logs import Channels, describe_nodes
 
@@ -582,18 +582,18 @@ def replay_line(bus_log: str | Path, scene: Scene, *, dry_run: bool = False, cyc
     """Replay the log of a simulated EtherCAT line: every frame of the master must be the recorded one, at its time.
 
     Args:
-        bus_log: The log of a run in virtual time that was not interrupted.
+        bus_log: The log of a run in virtual time, of any length.
         scene: Scene of the run.
         dry_run: Whether it was a dry run.
         cycles: Cycles of the run, with those of its stop; None: as many as the scene says.
 
     Raises:
-        InputError: The log cannot be read, or the scene has no simulated EtherCAT line of its own.
+        InputError: The log cannot be read, or the scene is not of one simulated EtherCAT line.
     """
     from canhaptic.logs.frame_log import read_frame_log
 
     frames = read_frame_log(bus_log)
-    if len(scene.buses) > 1 or not scene.simulated or getattr(scene.bus, "type", "can") != "ethercat":
+    if len(scene.buses) > 1 or not scene.simulated or kind_of(scene.bus) != "ethercat":
         raise InputError(f"{bus_log}: is the log of a simulated EtherCAT line; give the scene of one such line")
     duration, found = scene.run.duration, list[LineReplay]()
     declared = None if duration is None else max(1, round(duration / scene.bus.sample_time))
@@ -651,6 +651,11 @@ class OpenReplay:
         self, bus_log: str | Path, scene: Scene, *, realtime: bool = False, from_sync: bool = False,
         dry_run: bool = False,
     ) -> None:  # fmt: skip
+        if any(kind_of(bus.parameters) == "ethercat" for bus in scene.buses):
+            from canhaptic.logs.frame_log import read_frame_log
+
+            read_frame_log(bus_log)
+            raise InputError(f"{bus_log}: is the log of an EtherCAT line; replay it with `replay_line`")
         self._scene, self._recording = scene, Recording(bus_log, scene)
         self._joins = from_sync or not self._recording.has_boot
         if self._joins and self._recording.first_sync < 0:

@@ -1,5 +1,6 @@
 """One scene on EtherCAT and on CAN: the same torques and the same account; faults, mixed rigs, and what is refused."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,11 @@ from canhaptic.cycle import run as run_cycle
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import HoldsContradictedError, InputError, SceneError
 from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.replay import replay_line
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene, scene_from_mapping
 from canhaptic.scene.models import Scene
+from canhaptic.sim.drive.ethercat.cable import CableEffects
 from tools.count_structure import loaded_modules
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -77,6 +80,20 @@ def test_an_admittance_display_moves_and_is_accounted_for_on_ethercat_as_on_can(
     assert on_can[0] == on_line[0]
     assert on_can[1]["ports"] == on_line[1]["ports"]
     assert on_line[2] is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["wall.yaml", "virtual_mass.yaml"])
+def test_displays_on_a_line_that_loses_frames_are_replayed_byte_for_byte(name: str, tmp_path: Path) -> None:
+    scene = display_on("ethercat", name)
+    faults = CableEffects(drift=4e-5, late=0.01, lost=0.01, answer_lost=0.01, low_counter=0.005)
+    scene = replace(
+        scene, cable_effects=faults, run=scene.run.model_copy(update={"duration": 400 * scene.bus.sample_time})
+    )
+    _, error = build(scene, bus_log=tmp_path / "line.pcap").run_through(400)
+    assert error is None
+    result = replay_line(tmp_path / "line.pcap", scene)
+    assert (result.difference, result.compared) == ("", result.recorded)
 
 
 def test_a_force_sensor_with_a_can_node_of_its_own_is_refused_on_a_line() -> None:
