@@ -585,7 +585,7 @@ def replay_line(bus_log: str | Path, scene: Scene, *, dry_run: bool = False, cyc
         bus_log: The log of a run in virtual time, of any length.
         scene: Scene of the run.
         dry_run: Whether it was a dry run.
-        cycles: Cycles of the run, with those of its stop; None: as many as the scene says.
+        cycles: Cycles of the run, with those of its stop (`audit.recompute.cycles_on_line`); None: as the scene says.
 
     Raises:
         InputError: The log cannot be read, or the scene is not of one simulated EtherCAT line.

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from canhaptic.audit.inspection import inspect
+from canhaptic.audit.recompute import cycles_on_line
 from canhaptic.cli.main import main
 from canhaptic.control.verdict import COUNTS_DISAGREE
 from canhaptic.cycle import run as run_cycle
@@ -87,12 +88,10 @@ def test_an_admittance_display_moves_and_is_accounted_for_on_ethercat_as_on_can(
 def test_displays_on_a_line_that_loses_frames_are_replayed_byte_for_byte(name: str, tmp_path: Path) -> None:
     scene = display_on("ethercat", name)
     faults = CableEffects(drift=4e-5, late=0.01, lost=0.01, answer_lost=0.01, low_counter=0.005)
-    scene = replace(
-        scene, cable_effects=faults, run=scene.run.model_copy(update={"duration": 400 * scene.bus.sample_time})
-    )
-    _, error = build(scene, bus_log=tmp_path / "line.pcap").run_through(400)
+    scene, log = replace(scene, cable_effects=faults), tmp_path / "line.pcap"
+    _, error = build(scene, bus_log=log).run_through(400)
     assert error is None
-    result = replay_line(tmp_path / "line.pcap", scene)
+    result = replay_line(log, scene, cycles=cycles_on_line(log, scene))
     assert (result.difference, result.compared) == ("", result.recorded)
 
 

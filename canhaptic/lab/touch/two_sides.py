@@ -157,7 +157,7 @@ def on_two_buses(scene: Scene, axes: Sequence[AxisScene], sides: tuple[Side, Sid
     )
 
 
-def _changed(axis: AxisScene, **changes: Any) -> AxisScene:
+def _changed(axis: AxisScene, **changes: object) -> AxisScene:
     return replace(axis, parameters=axis.parameters.model_copy(update=changes))
 
 
