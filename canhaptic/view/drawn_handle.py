@@ -7,15 +7,28 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from bokeh.models import BasicTicker, ColumnDataSource, CustomJS, Range1d
+from bokeh.models import BasicTicker, ColumnDataSource, CustomJS, CustomJSTickFormatter, Range1d
 from bokeh.plotting import figure
 
+from canhaptic.axis_units import prefixes_of
 from canhaptic.logs.hdf5 import Array
-from canhaptic.view.picture_style import PALE
+from canhaptic.view.picture_style import GREY, PALE
 
 MIDDLE: Final = "#808080"  # grey that is seen on light and dark pages
-MATERIAL: Final[dict[str, Any]] = {"fill_color": MIDDLE, "fill_alpha": 0.3, "line_color": MIDDLE}
+WIDE: Final[dict[str, Any]] = {"sizing_mode": "stretch_width", "min_border_left": 90, "min_border_right": 40}
+MATERIAL: Final[dict[str, Any]] = {"fill_color": MIDDLE, "fill_alpha": 0.3, "line_color": MIDDLE, "level": "underlay"}
 Span = tuple[float, float]
+SI_VALUE: Final = """
+const of_axis = typeof ticks != "undefined", shown = of_axis ? ticks : [value];  // else at the pointer
+const largest = Math.max(...shown.map(Math.abs));
+if (!isFinite(largest)) return "-";
+if (largest == 0) return `0 ${unit}`;
+const [scale, prefix] = prefixes.find(([scale]) => largest >= scale * (1 - 1e-9)) ?? prefixes.at(-1);
+if (!of_axis) return `${(value / scale).toPrecision(5)} ${prefix}${unit}`;
+const step = ticks.length > 1 ? Math.abs(ticks[1] - ticks[0]) : largest;
+const digits = Math.min(12, Math.max(0, Math.ceil(-Math.log10(step / scale) - 1e-9)));
+return `${(tick / scale).toFixed(digits)} ${prefix}${unit}`;
+"""
 _EQUAL: Final = """
 const [[left, right], [bottom, top]] = plane.tags, {inner_width: width, inner_height: height} = plane;
 const scale = Math.max((right - left) / width, (top - bottom) / height);
@@ -27,23 +40,48 @@ plane.y_range.setv({start: (bottom + top - scale * height) / 2, end: (bottom + t
 """
 
 
-def new_plane(across: Span, along: Span, name: str, *, equal: bool = False, **look: Any) -> figure:
-    """Return an empty drawing without tools.
+def si_ticks(unit: str) -> CustomJSTickFormatter:
+    """Return a formatter for the ticks of an axis; the largest tick decides on the SI prefix of all."""
+    return CustomJSTickFormatter(args={"prefixes": prefixes_of(unit), "unit": unit}, code=SI_VALUE)
+
+
+def _empty(across: Span, along: Span, **look: Any) -> figure:
+    ranges: Any = {"x_range": Range1d(*across), "y_range": Range1d(*along), "tools": "", "toolbar_location": None}
+    return figure(output_backend="canvas", **ranges, **look)
+
+
+def new_plane(
+    source: ColumnDataSource, colour: str, across: Span, along: Span, links: Sequence[float] = (), *, unit: str,
+    equal: bool = True, **look: Any,
+) -> figure:  # fmt: skip
+    """Return a drawing without tools of a handle in a plane, or on a line of it; material goes below it.
 
     Args:
-        across: Shown range from left to right.
-        along: Shown range from bottom to top.
-        name: Name of the drawing.
+        source: Data source of the handle; the hand is drawn where it has `hand_x`.
+        colour: Colour of the handle.
+        across: Range within which it moves from left to right [unit].
+        along: The same from bottom to top [unit].
+        links: Of a five-bar, as of `five_bar`, which are drawn with their motors; the shown ranges have room for them.
+        unit: SI unit of the axes.
         equal: Whether both directions have one scale, at any width; `tags` of the figure are then the two ranges.
         look: Further properties of the figure.
     """
-    ranges: Any = {"x_range": Range1d(*across), "y_range": Range1d(*along), "tools": "", "toolbar_location": None}
-    plane = figure(name=name, output_backend="canvas", **ranges, **look)
+    ranges = reach_of(links, across, along)
+    plane = _empty(ranges[0], ranges[1], **WIDE, **look)
     plane.xaxis.ticker = BasicTicker(desired_num_ticks=4)
+    plane.xaxis.formatter = plane.yaxis.formatter = si_ticks(unit)
     if equal:
-        plane.tags = [across, along]
+        plane.tags = list(ranges)
         for changed in ("inner_width", "inner_height", "tags"):
             plane.js_on_change(changed, CustomJS(args={"plane": plane}, code=_EQUAL))
+    if links:
+        plane.multi_line("link_x", "link_y", source=source, line_color=MIDDLE, line_width=5, line_cap="round")
+        plane.scatter([-links[0], links[0]], [0.0, 0.0], size=14, color=MIDDLE)
+    of: Any = {"source": source}
+    if "hand_x" in source.data:
+        plane.segment("x", "y", "hand_x", "hand_y", line_color=PALE, line_width=3, **of)
+        plane.scatter("hand_x", "hand_y", marker="cross", size=22, line_color=GREY, line_width=2, **of)
+    plane.scatter("x", "y", size=22, fill_color=colour, line_color="white", **of)
     return plane
 
 
@@ -61,12 +99,11 @@ def new_knob(
         size: Width and height [pixels].
     """
     look: Any = {"width": size, "height": size, "align": "center", "min_border": 0, "frame_align": False}
-    disc = new_plane((-1.4, 1.4), (-1.4, 1.4), name, **look)
+    disc = _empty((-1.4, 1.4), (-1.4, 1.4), name=name, **look)
     disc.axis.visible, disc.grid.visible, disc.outline_line_alpha = False, False, 0.0
     for low, high in solid:
-        disc.annular_wedge(
-            0, 0, 1.05, 1.35, low, min(high, low + 6.28), fill_color=MIDDLE, fill_alpha=0.4, line_alpha=0
-        )
+        edge = min(high, low + 6.28)
+        disc.annular_wedge(0, 0, 1.05, 1.35, low, edge, fill_color=MIDDLE, fill_alpha=0.4, line_alpha=0)
     if len(notches):
         disc.ray(np.cos(notches), np.sin(notches), length=0.25, angle=notches, line_color=MIDDLE, line_width=2)
     disc.circle(0, 0, radius=1.0, fill_color=colour, fill_alpha=0.25, line_color=colour)
@@ -91,13 +128,6 @@ def five_bar(links: Sequence[float], angles: Sequence[float], place: Sequence[fl
     across = [-half, left * np.cos(first) - half, x, right * np.cos(second) + half, half]
     up = [0.0, left * np.sin(first), y, right * np.sin(second), 0.0]
     return {"link_x": [list(map(float, across))], "link_y": [list(map(float, up))]}
-
-
-def draw_links(plane: figure, source: ColumnDataSource, links: Sequence[float]) -> None:
-    """Draw the links of a five-bar, and its motors."""
-    if links:
-        plane.multi_line("link_x", "link_y", source=source, line_color=MIDDLE, line_width=5, line_cap="round")
-        plane.scatter([-links[0], links[0]], [0.0, 0.0], size=14, color=MIDDLE)
 
 
 def reach_of(links: Sequence[float], across: Span, along: Span) -> tuple[Span, Span]:

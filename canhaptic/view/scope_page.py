@@ -6,7 +6,6 @@ zoom and new data.
 
 import html
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import Any, Final
@@ -19,7 +18,6 @@ from bokeh.models import (
     ColumnDataSource,
     CustomJS,
     CustomJSHover,
-    CustomJSTickFormatter,
     DataRange1d,
     Div,
     GlobalInlineStyleSheet,
@@ -38,27 +36,23 @@ from canhaptic.logs.decoder import state_text
 from canhaptic.logs.hdf5 import Array
 from canhaptic.quantities import ACCOUNT
 from canhaptic.result import with_groups
-from canhaptic.view.drawn_handle import MIDDLE, draw_links, five_bar, new_knob, new_plane, reach_of, shade_of
+from canhaptic.view.drawn_handle import (
+    MIDDLE,
+    SI_VALUE,
+    WIDE,
+    five_bar,
+    new_knob,
+    new_plane,
+    reach_of,
+    shade_of,
+    si_ticks,
+)
 from canhaptic.view.html_page import STYLE, verdict_bar
 from canhaptic.view.picture_style import ALARM, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY
 from canhaptic.view.scope_states import StatePanels
 from canhaptic.view.series import FAULTS, LiveLog, News, Plane, PortFacts, decimate_together
 
 _TOOLS: Final = "xpan,xwheel_zoom,xbox_zoom,reset,save"
-_PREFIX: Final = """
-const near = (value) => prefixes.find(([scale]) => Math.abs(value) >= scale * (1 - 1e-9)) ?? prefixes.at(-1);
-"""
-_TICKS: Final = (
-    _PREFIX
-    + """
-const largest = Math.max(...ticks.map(Math.abs));
-if (largest == 0) return `0 ${unit}`;
-const [scale, prefix] = near(largest);
-const step = ticks.length > 1 ? Math.abs(ticks[1] - ticks[0]) : largest;
-const digits = Math.min(12, Math.max(0, Math.ceil(-Math.log10(step / scale) - 1e-9)));
-return `${(tick / scale).toFixed(digits)} ${prefix}${unit}`;
-"""
-)
 _LIVE: Final = Path(__file__).with_suffix(".css").read_text(encoding="utf-8")
 _REPAINT: Final = """
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
@@ -80,39 +74,13 @@ for (const range of ranges) {
   }
 }
 """
-_VALUE: Final = (
-    _PREFIX
-    + """
-if (!isFinite(value)) return "-";
-if (value == 0) return `0 ${unit}`;
-const [scale, prefix] = near(value);
-return `${(value / scale).toPrecision(5)} ${prefix}${unit}`;
-"""
-)
 
 
-def new_panel(title: str, unit: str, time: Range, height: int) -> figure:
-    """Return an empty panel over time.
-
-    Args:
-        title: Label of the vertical axis.
-        unit: SI unit, shown with a prefix at the ticks.
-        time: Time range shared by all panels of a page.
-        height: Height [pixels].
-    """
+def _new_panel(title: str, unit: str, time: Range, height: int) -> figure:
     panel = figure(
-        x_range=time,
-        height=height,
-        tools=_TOOLS,
-        active_drag="xbox_zoom",
-        active_scroll="xwheel_zoom",
-        output_backend="canvas",
-        window_axis="x",
-        sizing_mode="stretch_width",
-        min_border_left=90,
-        min_border_right=40,
-        name=title,
-    )
+        x_range=time, height=height, tools=_TOOLS, active_drag="xbox_zoom", active_scroll="xwheel_zoom", name=title,
+        output_backend="canvas", window_axis="x", **WIDE,
+    )  # fmt: skip
     panel.yaxis.axis_label = title
     panel.xaxis.formatter, panel.yaxis.formatter = si_ticks("s"), si_ticks(unit)
     panel.toolbar.logo = None
@@ -155,18 +123,12 @@ class LivePage:
         self._root.children = list(children)
 
 
-def si_ticks(unit: str) -> CustomJSTickFormatter:
-    """Return a formatter for the ticks of an axis; the largest tick decides on the SI prefix of all."""
-    return CustomJSTickFormatter(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_TICKS)
-
-
 _POINTS: Final = 6000  # kept per line
 _BUCKETS: Final = 250  # per look; about twice as many rows
 _LINES: Final = (
     "position", "command", "applied", "taken_in", "dissipated", "margin", "upper", "surplus", "deficit", "damping",
 )  # fmt: skip
 _EVENTS_SHOWN: Final = 4
-_REQUESTED: Final = ACCOUNT["torque_command"].title
 
 
 _Glyph = tuple[str, dict[str, Any]]
@@ -180,15 +142,9 @@ _OPTIONAL: Final[dict[str, tuple[str, ...]]] = {
 
 
 def panel_of(
-    time: Range,
-    source: ColumnDataSource,
-    title: str,
-    unit: str,
-    height: int,
-    glyphs: Iterable[_Glyph],
-    under_pointer: Mapping[str, str],
+    time: Range, source: ColumnDataSource, title: str, unit: str, height: int, glyphs: Iterable[_Glyph]
 ) -> figure:
-    """Return a panel over time, with time and values at the pointer, which snaps to the line of the first of these.
+    """Return a panel over time, with time and values at the pointer, with five digits and SI prefix.
 
     Args:
         time: Time range shared by all panels.
@@ -196,19 +152,17 @@ def panel_of(
         title: Title.
         unit: SI unit of the values.
         height: Height [pixels].
-        glyphs: Lines and areas.
-        under_pointer: Label -> data column of each value shown at the pointer, with five digits and SI prefix.
+        glyphs: Lines and areas, named by their data column; the pointer snaps to the last one.
     """
-    panel = new_panel(title, unit, time, height)
+    panel, values = _new_panel(title, unit, time, height), {}
     for kind, style in glyphs:
-        getattr(panel, kind)(x="time", source=source, **style)
-    main = next(iter(under_pointer.values()))
-    shown = [(label, f"@{{{name}}}{{custom}}") for label, name in under_pointer.items()]
-    value = CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=_VALUE)
+        drawn = getattr(panel, kind)(x="time", source=source, **style)
+        if drawn.name in source.data:
+            values[style["legend_label"]] = f"@{{{drawn.name}}}"
+    value = CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=SI_VALUE)
     panel.add_tools(HoverTool(
-        renderers=[renderer for renderer in panel.renderers if renderer.name == main], mode="vline",
-        tooltips=[("time", "@time{0.0000} s"), *shown], line_policy="nearest",
-        formatters={f"@{{{name}}}": value for name in under_pointer.values()},
+        renderers=[drawn], mode="vline", line_policy="nearest", formatters=dict.fromkeys(values.values(), value),
+        tooltips=[("time", "@time{0.0000} s"), *((label, f"{place}{{custom}}") for label, place in values.items())],
     ))  # fmt: skip
     legend = panel.legend[0]
     legend.update(
@@ -231,12 +185,18 @@ def _known(column: str, name: str, width: float = 1.5, **style: Any) -> _Glyph:
     return line_of(column, ACCOUNT[name].title, ACCOUNT[name].colour, width, **style)
 
 
-def _common_panel(title: str, unit: str, time: Range, source: ColumnDataSource, kind: str, **look: Any) -> figure:
-    """Return a panel of the whole run: of every column of its source a line, or exact steps between its rows."""
-    names, colours = [name for name in source.data if name != "time"], (BLUE, GREEN, ORANGE, PURPLE, SKY, GREY)
-    labels = {name.replace("_", " "): name for name in names}
-    lines = [line_of(name, label, of, 1.0, **look)[1] for (label, name), of in zip(labels.items(), cycle(colours))]
-    return panel_of(time, source, title, unit, 140, [(kind, line) for line in lines], labels)
+def _common_panel(
+    title: str, unit: str, time: Range, names: Iterable[str], kind: str = "line", **look: Any
+) -> tuple[ColumnDataSource, figure]:
+    """Return a hidden panel of the whole run, with its source: of every column a line, or exact steps between rows."""
+    source = ColumnDataSource({name: [] for name in ("time", *names)})
+    lines = [
+        (kind, line_of(name, name.replace("_", " "), colour, 1.0, **look)[1])
+        for name, colour in zip(names, cycle((BLUE, GREEN, ORANGE, PURPLE, SKY, GREY)))
+    ]
+    panel = panel_of(time, source, title, unit, 140, lines)
+    panel.visible = False
+    return source, panel
 
 
 def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dict[str, figure]:
@@ -245,34 +205,24 @@ def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dic
     A group has no position panel, an axis in a group no energy panel, and only an admittance display a velocity panel.
     Lines are straight, not steps, because the values between decimated rows are unknown.
     """
-    units, panel, name, panels = facts.units, partial(panel_of, time, source), facts.name, dict[str, figure]()
+    units, is_display = facts.units, facts.is_display
+    panels: dict[str, tuple[str, int, Sequence[_Glyph]]] = {}  # unit, height and glyphs
     if facts.has_motion:
-        lines = [line_of("position", "position", BLUE)]
-        panels["position"] = panel(f"{name}: position", units["position"], 190, lines, {"position": "position"})
-        for wall, side in facts.walls:
-            _add_wall(panels["position"], wall, side)
-        if facts.notches:
-            look: dict[str, Any] = {"line_color": GREY, "line_dash": "dashed", "line_alpha": 0.6}
-            panels["position"].hspan(y=facts.notches, legend_label="notch", name="notches", **look)
-            panels["position"].y_range = DataRange1d(renderers=panels["position"].select({"name": "position"}))
-    label, effort = "on the hand" if facts.is_display else "applied", units["applied"]
-    lines, labels = [line_of("applied", label, BLUE, 1.2)], {label: "applied"}
-    if facts.is_display:
-        velocity = [line_of("command", "commanded", ORANGE)]
-        panels["velocity"] = panel(f"{name}: velocity", units["command"], 190, velocity, {"commanded": "command"})
-    else:
-        lines.insert(0, line_of("command", _REQUESTED, ORANGE, 2.5, alpha=0.8))
-        labels[_REQUESTED] = "command"
-    panels["torque"] = panel(f"{name}: {'torque' if effort == 'N*m' else 'force'}", effort, 190, lines, labels)
+        panels["position"] = units["position"], 190, [line_of("position", "position", BLUE)]
+    if is_display:
+        panels["velocity"] = units["command"], 190, [line_of("command", "commanded", ORANGE)]
+    requested = [line_of("command", ACCOUNT["torque_command"].title, ORANGE, 2.5, alpha=0.8)] * (not is_display)
+    applied = line_of("applied", "on the hand" if is_display else "applied", BLUE, 1.2)
+    panels["torque" if units["applied"] == "N*m" else "force"] = units["applied"], 190, [*requested, applied]
     if facts.has_account:
-        lines = [_known("surplus", "surplus"), _known("deficit", "deficit", 1.0, line_dash=[6, 3])]
-        damping = [_known("damping", "damping_rendered", 1.2)]
-        panels |= {
-            "energy": panel(f"{name}: energy", "J", 240, _ENERGY, _ENERGY_LABELS),
-            "surplus": panel(f"{name}: surplus", "J", 150, lines, {"surplus": "surplus", "deficit": "deficit"}),
-            "damping": panel(f"{name}: damping", units["damping"], 130, damping, {"damping": "damping"}),
-        }
-    return panels
+        deficit = _known("deficit", "deficit", 1.0, line_dash=[6, 3])
+        panels["energy"] = "J", 240, _ENERGY
+        panels["surplus"] = "J", 150, [_known("surplus", "surplus"), deficit]
+        panels["damping"] = units["damping"], 130, [_known("damping", "damping_rendered", 1.2)]
+    made = {kind: panel_of(time, source, f"{facts.name}: {kind}", *panel) for kind, panel in panels.items()}
+    if facts.has_motion:
+        _add_surfaces(made["position"], facts)
+    return made
 
 
 def _margin(name: str, label: str, base: str, colour: str) -> _Glyph:
@@ -286,15 +236,17 @@ _ENERGY: Final = (
     _known("taken_in", "interaction"),
     _known("dissipated", "dissipated", line_dash=[6, 3]),
 )
-_ENERGY_LABELS: Final = {
-    ACCOUNT["interaction"].title: "taken_in", ACCOUNT["dissipated"].title: "dissipated", "margin": "margin"
-}  # fmt: skip
 
 
-def _add_wall(panel: figure, wall: float, side: str) -> None:
-    panel.hspan(y=[wall], line_color=MIDDLE, line_dash="dashed", legend_label="wall", name="wall")
-    edge = {"top" if side == "below" else "bottom": wall}
-    panel.add_layout(BoxAnnotation(**edge, fill_color=MIDDLE, fill_alpha=0.2, line_alpha=0.0, level="underlay"))
+def _add_surfaces(panel: figure, facts: PortFacts) -> None:
+    for wall, side in facts.walls:
+        panel.hspan(y=[wall], line_color=MIDDLE, line_dash="dashed", legend_label="wall", name="wall")
+        edge = {"top" if side == "below" else "bottom": wall}
+        panel.add_layout(BoxAnnotation(**edge, fill_color=MIDDLE, fill_alpha=0.2, line_alpha=0.0, level="underlay"))
+    if facts.notches:
+        look: dict[str, Any] = {"line_color": GREY, "line_dash": "dashed", "line_alpha": 0.6}
+        panel.hspan(y=facts.notches, legend_label="notch", name="notches", **look)
+        panel.y_range = DataRange1d(renderers=panel.select({"name": "position"}))
 
 
 class ScopePage:
@@ -343,19 +295,14 @@ class ScopePage:
     def _build(self, news: News) -> None:
         groups_first = sorted(news.facts, key=lambda name: news.facts[name].has_motion)
         self._ports = {name: _LivePort(news, name, self._time, self._window) for name in groups_first}
-        timing, lost = (ColumnDataSource({name: [] for name in ("time", *of)}) for of in (news.timing, news.lost))
-        self._common = {
-            "timing": (timing, _common_panel("timing", "s", self._time, timing, "line")),
-            "lost": (lost, _common_panel("lost", "", self._time, lost, "step", mode="after")),
-        }
+        timing = _common_panel("timing", "s", self._time, news.timing)
+        lost = _common_panel("lost", "", self._time, news.lost, "step", mode="after")
         due = Span(location=news.sample_time, dimension="width", line_color=GREY, line_dash="dashed")
-        self._common["timing"][1].add_layout(due)
-        self._common["lost"][1].y_range = DataRange1d(start=-0.05, min_interval=1.0)
-        common = [panel for _, panel in self._common.values()]
-        for panel in common:
-            panel.visible = False
+        timing[1].add_layout(due)
+        lost[1].y_range = DataRange1d(start=-0.05, min_interval=1.0)
+        self._common = {"timing": timing, "lost": lost}
         panels = [panel for port in self._ports.values() for panel in port.layout]
-        self._page.show([self._status, self._page.time, *panels, *common])
+        self._page.show([self._status, self._page.time, *panels, timing[1], lost[1]])
 
 
 class _LivePort:
@@ -368,19 +315,17 @@ class _LivePort:
         self._faults = ColumnDataSource({"at": [], "text": []})
         self._in_contact: list[tuple[float, float]] = []
         self._name = name
-        self._is_shaded = news.facts[name].has_account
-        self.panels = _port_panels(news.facts[name], time, self._source)
+        facts = news.facts[name]
+        self._is_shaded = facts.has_account
+        self.panels = _port_panels(facts, time, self._source)
         self._states = _states(news, name, time)
         over_time = list(self.panels.items())
         self.panels |= self._states.panels if self._states else {}
-        self._handle = _LiveHandle(news.facts[name], self.panels.get("position"))
-        beside = {"position": self._handle.drawing}
-        self.layout = [
-            row(panel, drawing, sizing_mode="stretch_width") if (drawing := beside.get(title)) else panel
-            for title, panel in self.panels.items()
-        ]
-        if self._handle.drawing is not None and "position" not in self.panels:
-            self.layout.insert(0, self._handle.drawing)
+        self._handle = _LiveHandle(facts, self.panels.get("position"))
+        self.layout: list[Any] = list(self.panels.values())
+        if self._handle.drawing is not None:
+            beside = self.layout[: facts.has_motion]  # the panel of the position
+            self.layout[: len(beside)] = [row(*beside, self._handle.drawing, sizing_mode="stretch_width")]
         for kind, panel in over_time:
             panel.visible = kind not in _OPTIONAL
             strip = panel.vstrip(
@@ -427,31 +372,22 @@ class _LiveHandle:
     """
 
     def __init__(self, facts: PortFacts, position: figure | None) -> None:
-        self._facts, self._looks = facts, 0
+        self._facts = facts
         self._source = ColumnDataSource({"x": [], "y": [], "link_x": [], "link_y": []}, name=f"{facts.name}: handle")
-        self._trace, self._material = (
-            ColumnDataSource({"x": [], "y": []}),
-            ColumnDataSource({key: [] for key in _IMAGE}),
-        )
+        self._trace, self._material = (ColumnDataSource({name: [] for name in names}) for names in ("xy", _IMAGE))
+        self._spans = ((0.0, 0.0), (0.0, 0.0))
         self.drawing: figure | None = None
-        if facts.plane is not None:
-            self.drawing = self._new_plane(facts.plane)
+        if (plane := facts.plane) is not None:
+            look: Any = {"height": 260, "name": f"{facts.name}: plane", "unit": plane.unit}
+            self.drawing = new_plane(self._source, BLUE, (-1.0, 1.0), (-1.0, 1.0), plane.links, **look)
+            self.drawing.image_rgba(**{name: name for name in _IMAGE}, source=self._material, level="underlay")
+            self.drawing.line("x", "y", source=self._trace, line_color=BLUE, level="underlay")
         elif position is not None and facts.units["position"] == "rad":
             ends = [(wall, wall + 0.5) if side == "above" else (wall - 0.5, wall) for wall, side in facts.walls]
             near = [notch for notch in facts.notches if abs(notch) <= np.pi]
             self.drawing = new_knob(self._source, BLUE, f"{facts.name}: knob", ends, near, 150)
         elif position is not None:
             position.scatter("y", "x", source=self._source, size=16, fill_color=BLUE, line_color="white")
-
-    def _new_plane(self, plane: Plane) -> figure:
-        look: Any = {"height": 260, "sizing_mode": "stretch_width", "min_border_left": 90, "min_border_right": 40}
-        drawing = new_plane((-1.0, 1.0), (-1.0, 1.0), f"{self._facts.name}: plane", equal=True, **look)
-        drawing.xaxis.formatter = drawing.yaxis.formatter = si_ticks(plane.unit)
-        drawing.image_rgba(**{name: name for name in _IMAGE}, source=self._material)
-        draw_links(drawing, self._source, plane.links)
-        drawing.line("x", "y", source=self._trace, line_color=BLUE, line_width=1.0)
-        drawing.scatter("x", "y", source=self._source, size=16, fill_color=BLUE, line_color="white")
-        return drawing
 
     def take(self, news: News, keep: Array) -> None:
         """Draw the handle at the last row, and what it touches around its latest path."""
@@ -465,30 +401,31 @@ class _LiveHandle:
         path = path[np.isfinite(path).all(axis=1)]
         if not len(path):
             return
-        self._source.data = {"x": path[-1:, 0], "y": path[-1:, 1]} | five_bar(
-            plane.links, motors[:, -1].tolist(), path[-1].tolist()
-        )
+        links = five_bar(plane.links, motors[:, -1].tolist(), path[-1].tolist())
+        self._source.data = {"x": path[-1:, 0], "y": path[-1:, 1]} | links
         self._trace.stream({"x": path[:, 0], "y": path[:, 1]}, rollover=500)
-        self._looks += 1
-        if self._looks % _LOOKS_A_PLANE == 1:
+        low, high = np.transpose(self._spans)
+        if (path <= low).any() or (path >= high).any():  # beyond what is drawn
             self._draw(plane)
 
     def _draw(self, plane: Plane) -> None:
-        drawn = plane.drawn(np.column_stack([self._trace.data[axis] for axis in "xy"]))
-        if drawn is None or self.drawing is None:
-            return
-        parts = ((drawn.depth, drawn.surface), *drawn.further)
-        inside = np.any([depth <= at if at else depth > at for depth, at in parts], axis=0)  # a line has no inside
-        spans = [(float(of[0]), float(of[-1])) for of in (drawn.across, drawn.along)]
-        (left, right), (low, high) = spans
-        image = (left, low, right - left, high - low, shade_of(inside))
-        self._material.data = {name: [value] for name, value in zip(_IMAGE, image, strict=True)}
-        self.drawing.tags = list(reach_of(plane.links, *spans))
+        path = np.column_stack([self._trace.data[axis] for axis in "xy"])
+        room = 1e-3 + 0.2 * float(np.ptp(path, axis=0).max())
+        across: Any
+        along: Any
+        across, along = ([float(of.min()) - room, float(of.max()) + room] for of in path.T)
+        if (drawn := plane.drawn(path)) is not None:
+            across, along = drawn.across, drawn.along
+            parts = ((drawn.depth, drawn.surface), *drawn.further)
+            inside = np.any([depth <= at if at else depth > at for depth, at in parts], axis=0)  # a line has no inside
+            image = (across[0], along[0], across[-1] - across[0], along[-1] - along[0], shade_of(inside))
+            self._material.data = {name: [value] for name, value in zip(_IMAGE, image, strict=True)}
+        self._spans = (float(across[0]), float(across[-1])), (float(along[0]), float(along[-1]))
+        if self.drawing is not None:
+            self.drawing.tags = list(reach_of(plane.links, *self._spans))
 
 
 _IMAGE: Final = ("x", "y", "dw", "dh", "image")
-_LOOKS_A_PLANE: Final = 25
-"""Looks between two drawings of what a handle may touch in its plane."""
 
 
 def _states(news: News, name: str, time: Range) -> StatePanels | None:
@@ -497,7 +434,7 @@ def _states(news: News, name: str, time: Range) -> StatePanels | None:
     if not facts.has_motion:
         return None
     unit = facts.units["applied"]
-    panel = new_panel(f"{name}: spectrum", unit, DataRange1d(range_padding=0.0), 150)
+    panel = _new_panel(f"{name}: spectrum", unit, DataRange1d(range_padding=0.0), 150)
     panel.xaxis.formatter = si_ticks("Hz")
     return StatePanels(name, facts.torque_limit, unit, time, news.sample_time, panel)
 

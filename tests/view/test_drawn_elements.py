@@ -136,8 +136,10 @@ def test_a_negative_margin_is_an_area_of_its_own_and_no_alarm(scope: Any) -> Non
 def test_wall_and_contacts_are_on_the_live_page(scope: Any) -> None:
     from bokeh.models import BoxAnnotation
 
+    from canhaptic.view.drawn_handle import MIDDLE
+
     panel = panel_of(scope, "position")
-    inside = panel.select_one({"type": BoxAnnotation, "fill_color": "#4D4D4D"})
+    inside = panel.select_one({"type": BoxAnnotation, "fill_color": MIDDLE})
     assert inside.top == -0.02
     assert "wall" in [item.label.value for item in panel.legend[0].items]
     strip = next(renderer for renderer in panel.renderers if type(getattr(renderer, "glyph", 0)).__name__ == "VStrip")

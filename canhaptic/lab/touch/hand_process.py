@@ -41,27 +41,16 @@ X, Y, TOKEN, ARRIVED, RUN = range(5)
 
 @dataclass(frozen=True, slots=True)
 class TouchJob:
-    """Description of one run of both sides.
+    """Description of one run of both sides."""
 
-    Attributes:
-        number: Number of the run; the run ends as soon as shared memory has another number.
-        text: Text of the scene.
-        source: File of the scene.
-        overrides: Values that override those of the scene.
-        axis: Axis to touch; None for the first.
-        allow_code: Whether user code that the scene names may run.
-        pace: "even" or "real".
-        given: What a Python program gave to the scene, from `parcel`.
-    """
-
-    number: int
-    text: str
-    source: str
-    overrides: tuple[str, ...]
-    axis: str | None
-    allow_code: bool
+    number: int  # the run ends as soon as shared memory has another number
+    text: str  # of the scene
+    source: str  # file of the scene
+    overrides: tuple[str, ...]  # values instead of those of the scene
+    axis: str | None  # to touch; None: the first
+    allow_code: bool  # whether user code that the scene names may run
     pace: TouchPace = "even"
-    given: bytes = b""
+    given: bytes = b""  # what a Python program gave to the scene, from `parcel`
 
     def touched(self) -> TouchScene:
         """Return the scene of the run, with both handles.
@@ -81,19 +70,14 @@ class TouchStatus(NamedTuple):
     """Status of a run; energies in [J], times in [s]."""
 
     run: int
-    cycles: int
-    late: int  # number of cycles that began more than a sample time late
-    skipped: int  # number of SYNCs skipped, at real pace
-    given_up: float  # delay that was not caught up, at an even pace
-    lateness: tuple[float, float]  # of the cycles: median and 99th percentile
-    answered: tuple[float, float]  # from pointer to the end of the first cycle with it: median and 99th percentile
-    least: tuple[float, float]  # lowest net energy of each side since the start, from the plant
-    ended: str  # why the run ended; "" while it is running
-
-
-def no_run(number: int, ended: str) -> TouchStatus:
-    """Return the status of a run without cycles."""
-    return TouchStatus(number, 0, 0, 0, 0.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), ended)
+    cycles: int = 0
+    late: int = 0  # number of cycles that began more than a sample time late
+    skipped: int = 0  # number of SYNCs skipped, at real pace
+    given_up: float = 0.0  # delay that was not caught up, at an even pace
+    lateness: tuple[float, float] = (0.0, 0.0)  # of the cycles: median and 99th percentile
+    answered: tuple[float, float] = (0.0, 0.0)  # from pointer to the end of the first cycle with it, the same
+    least: tuple[float, float] = (0.0, 0.0)  # lowest net energy of each side since the start, from the plant
+    ended: str = ""  # why the run ended; "" while it is running
 
 
 def columns(touched: TouchScene) -> list[str]:
@@ -240,7 +224,7 @@ class _HandRun:
     def _status(self, ended: str) -> TouchStatus:
         experiment: Experiment | None = getattr(self, "_experiment", None)
         if experiment is None:
-            return no_run(self._job.number, ended)
+            return TouchStatus(self._job.number, ended=ended)
         cycles, skipped = experiment.cycle.cycles, experiment.rig.skipped_syncs
         lateness, answered = (
             (durations.quantile(0.5), durations.quantile(0.99)) for durations in (self._lateness, self._answered)
@@ -328,7 +312,7 @@ class TouchHand:
                 status = latest
                 parts += [rows] if len(rows) else []
         if status is None and not is_alive:
-            status = no_run(self._job.number, self._lost())
+            status = TouchStatus(self._job.number, ended=self._lost())
         table = np.concatenate(parts) if parts else np.empty((0, len(names)))
         return TouchNews(dict(zip(names, table.T, strict=True)), status)
 

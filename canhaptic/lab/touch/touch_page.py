@@ -18,11 +18,11 @@ from canhaptic.errors import CanHapticError
 from canhaptic.files import scene_title
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.touch.hand_process import TouchHand, TouchNews, TouchStatus
-from canhaptic.lab.touch.two_sides import TouchScene, TouchSlider
-from canhaptic.view.drawn_handle import MATERIAL, MIDDLE, draw_links, five_bar, new_knob, new_plane, reach_of
+from canhaptic.lab.touch.two_sides import TouchSlider
+from canhaptic.view.drawn_handle import MATERIAL, MIDDLE, five_bar, new_knob, new_plane
 from canhaptic.view.html_page import verdict_bar
 from canhaptic.view.picture_style import BLUE, GREY, PALE, VERMILION
-from canhaptic.view.scope_page import LivePage, line_of, panel_of, si_ticks
+from canhaptic.view.scope_page import LivePage, line_of, panel_of
 from canhaptic.view.series import decimate
 
 _COLOURS: Final = (VERMILION, BLUE)
@@ -118,53 +118,43 @@ class _SideView:
     """Handle, force, energy and verdict of one side."""
 
     def __init__(self, hand: TouchHand, number: int, pointer: models.ColumnDataSource) -> None:
-        touched = hand.touched
+        touched, colour = hand.touched, _COLOURS[number]
+        self._touched, self._number, self._name = touched, number, touched.sides[number].name
         self._waiting: list[dict[str, Array]] = []
         self._is_touched = False
-        self._name, self._number = touched.sides[number].name, number
-        self._directions, self._is_display = touched.directions, touched.is_display
-        self._allowance = touched.sides[number].allowance
         x, y = ([at] for at in (*touched.start, 0.0)[:2])
         handle = {"x": x, "y": y, "hand_x": x, "hand_y": y, "token": [0.0], "frame": [0]} | five_bar((), (), ())
         self.handle = models.ColumnDataSource(handle, name=f"handle {number}")
-        vectors = ("force", "velocity", "command") if touched.is_display else ("force",)
-        self._columns = {f"{vector} {d}": f"{number}.{vector}.{d}" for vector in vectors for d in self._directions}
+        vectors = ("force", *("velocity", "command") * touched.is_display)
+        self._columns = {f"{vector} {d}": f"{number}.{vector}.{d}" for vector in vectors for d in touched.directions}
         self._columns["energy"] = f"{number}.energy"
         self._lines = models.ColumnDataSource({name: [] for name in ("time", *self._columns)}, name=f"lines {number}")
         self._verdict = models.Div(text="", name=f"verdict {number}", sizing_mode="stretch_width")
-        self._touched = touched
         self._notches = models.ColumnDataSource({"x": [], "y": []}, name=f"notches {number}")
-        self.scene = self._new_scene(touched, pointer)
+        scene = self._new_scene(pointer)
         self.draw_notches(0.0)
-        force = "force" if touched.unit == "m" else "torque"
-        self.panels = [self._panel(force, effort_unit(touched.unit), ["force"])]
-        if self._is_display:
-            self.panels.append(self._panel("velocity", f"{touched.unit}/s", ["command", "velocity"]))
-        self.panels.append(self._panel("energy", "J", ["energy"]))
+        self.panels = [self._panel("force" if touched.unit == "m" else "torque", effort_unit(touched.unit), "force")]
+        if touched.is_display:
+            self.panels.append(self._panel("velocity", f"{touched.unit}/s", "command", "velocity"))
+        self.panels.append(self._panel("energy", "J", "energy"))
         self.panels[-1].add_layout(models.Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
-        title = models.Div(text=f"<b style='font-size:1.3em;color:{_COLOURS[number]}'>{html.escape(self._name)}</b>")
+        title = models.Div(text=f"<b style='font-size:1.3em;color:{colour}'>{html.escape(self._name)}</b>")
         knob = []
         if not touched.is_plane and touched.unit == "rad":
             first, pitch = touched.notches or (0.0, 7.0)
             around = (first + pitch * np.arange(min(200, round(2.0 * np.pi / pitch)))).tolist()
-            knob = [new_knob(self.handle, _COLOURS[number], f"knob {number}", touched.solid, around)]
-        self.layout = column(*(title, self._verdict, self.scene, *knob, *self.panels), sizing_mode="stretch_width")
+            knob = [new_knob(self.handle, colour, f"knob {number}", touched.solid, around)]
+        self.layout = column(*(title, self._verdict, scene, *knob, *self.panels), sizing_mode="stretch_width")
 
-    def _new_scene(self, touched: TouchScene, pointer: models.ColumnDataSource) -> figure:
+    def _new_scene(self, pointer: models.ColumnDataSource) -> figure:
         """Return the panel in which the handle is dragged."""
-        (low, high), across = touched.shown[0], (*touched.shown, (-1.0, 1.0))[1]
-        look: Any = {"sizing_mode": "stretch_width", "min_border_left": 90, "min_border_right": 40}
-        look |= {"height": 330 if touched.is_plane else 105, "equal": touched.is_plane}
-        plane = new_plane(*reach_of(touched.links, (low, high), across), f"scene {self._number}", **look)
-        plane.grid.grid_line_color = None
-        plane.xaxis.formatter = plane.yaxis.formatter = si_ticks(touched.unit)
-        plane.yaxis.visible = touched.is_plane
-        self._draw_solid(plane, touched, (low, high))
-        plane.varea("x", -1.0, "y", source=self._notches, fill_color=MIDDLE, fill_alpha=0.3)
-        draw_links(plane, self.handle, touched.links)
-        plane.segment("x", "y", "hand_x", "hand_y", source=self.handle, line_color=PALE, line_width=3)
-        plane.scatter("hand_x", "hand_y", source=self.handle, marker="cross", size=22, line_color=GREY, line_width=2)
-        plane.scatter("x", "y", source=self.handle, size=26, fill_color=_COLOURS[self._number], line_color="white")
+        touched, colour = self._touched, _COLOURS[self._number]
+        look: Any = {"height": 330 if touched.is_plane else 105, "equal": touched.is_plane, "unit": touched.unit}
+        across, along, *_ = *touched.shown, (-1.0, 1.0)
+        plane = new_plane(self.handle, colour, across, along, touched.links, name=f"scene {self._number}", **look)
+        plane.grid.grid_line_color, plane.yaxis.visible = None, touched.is_plane
+        self._draw_solid(plane)
+        plane.varea("x", -1.0, "y", source=self._notches, fill_color=MIDDLE, fill_alpha=0.3, level="underlay")
         for event in (PanStart, Pan):
             plane.js_on_event(event, models.CustomJS(args={"pointer": pointer}, code=_SEND))
         return plane
@@ -180,10 +170,11 @@ class _SideView:
             across = np.linspace(*self._touched.shown[0], 2001)
             self._notches.data = {"x": across, "y": 0.8 * np.sin(np.pi * (across - place) / pitch) ** 2 - 0.9}
 
-    def _draw_solid(self, plane: figure, touched: TouchScene, shown: tuple[float, float]) -> None:
+    def _draw_solid(self, plane: figure) -> None:
+        touched, (low, high) = self._touched, self._touched.shown[0]
         if touched.path:
             x, y = zip(*touched.path, strict=True)
-            plane.line(x, y, line_color=PALE, line_width=8, line_alpha=0.5)
+            plane.line(x, y, line_color=PALE, line_width=8, line_alpha=0.5, level="underlay")
         for across, along, radius in touched.discs:
             plane.circle(across, along, radius=radius, **MATERIAL)
         edges: list[dict[str, float]] = []
@@ -192,42 +183,44 @@ class _SideView:
                 between = {"left": left, "right": right}
                 edges += [{"right": left}, {"left": right}, between | {"top": bottom}, between | {"bottom": top}]
         else:
-            for low, high in touched.solid:
-                edges.append(({"left": low} if low > shown[0] else {}) | ({"right": high} if high < shown[1] else {}))
+            for start, end in touched.solid:
+                edges.append(({"left": start} if start > low else {}) | ({"right": end} if end < high else {}))
         for edge in edges:
             plane.add_layout(models.BoxAnnotation(**edge, **MATERIAL))
 
-    def _panel(self, title: str, unit: str, vectors: list[str]) -> figure:
+    def _panel(self, title: str, unit: str, *vectors: str) -> figure:
         # A range of its own: a shared one stands still while any of its panels is scrolled out of sight.
         time = models.DataRange1d(follow="end", follow_interval=_SHOWN, range_padding=0.0)
-        labels = {self._label(name): name for vector in vectors for name in self._columns if name.split()[0] == vector}
         lines = []
-        for label, name in labels.items():
-            dash, is_main = "dashed" if name.endswith(" y") else "solid", name.split()[0] == vectors[-1]
-            look: Any = (_COLOURS[self._number], 1.5) if is_main else (GREY, 1.0)
-            lines.append(line_of(name, label, *look, line_dash=dash))
-        panel = panel_of(time, self._lines, title, unit, 150, lines, labels)
+        for name in (name for vector in vectors for name in self._columns if name.split()[0] == vector):
+            vector, *direction = name.split()
+            look: Any = (_COLOURS[self._number], 1.5) if vector == vectors[-1] else (GREY, 1.0)
+            dash = "dashed" if direction == ["y"] else "solid"
+            lines.append(line_of(name, self._label(vector, *direction), *look, line_dash=dash))
+        panel = panel_of(time, self._lines, title, unit, 150, lines)
         panel.toolbar_location, panel.window_axis, panel.xaxis[0].ticker.desired_num_ticks = None, "none", 4
         return panel
 
-    def _label(self, name: str) -> str:
+    def _label(self, vector: str, direction: str = "") -> str:
         """Return the legend of a line."""
-        vector, *direction = name.split()
-        if vector == "energy":
-            return "into the display, at the sensor" if self._is_display else "taken in by the wall"
-        text = {"force": "of the hand" if self._is_display else "on the hand", "velocity": "handle"}.get(vector, vector)
-        return f"{text} {direction[0]}" if len(self._directions) > 1 else text
+        at = int(self._touched.is_display)
+        texts = {"force": ("on the hand", "of the hand"), "velocity": ("handle",) * 2,
+                 "energy": ("taken in by the wall", "into the display, at the sensor")}  # fmt: skip
+        text = texts[vector][at] if vector in texts else vector
+        return f"{text} {direction}".rstrip() if self._touched.is_plane else text
 
     def take(self, news: TouchNews, frame: int) -> None:
         """Draw rows; the browser returns `frame` once they are drawn."""
         rows, number = news.rows, self._number
         self._is_touched = self._is_touched or bool(rows[f"{number}.energy"].any())
         links = self._touched.links
-        angles, place = ([rows[f"{number}.{of}.{d}"][-1] for d in self._directions if links] for of in _OF_LINKS)
+        angles, place = (
+            [rows[f"{number}.{of}.{d}"][-1] for d in self._touched.directions if links] for of in _OF_LINKS
+        )
         last: dict[str, object] = {"token": rows["token"][-1:], "frame": [frame], **five_bar(links, angles, place)}
         for name, prefix in (("", f"{number}.position."), ("hand_", "hand.")):
             for d in ("x", "y"):
-                last[name + d] = rows[prefix + d][-1:] if d in self._directions else np.zeros(1)
+                last[name + d] = rows[prefix + d][-1:] if d in self._touched.directions else np.zeros(1)
         self.handle.data = last
         self._waiting.append(rows)
         lasted = rows["time"][-1] - self._waiting[0]["time"][0]
@@ -246,11 +239,11 @@ class _SideView:
         if not self._is_touched:
             self._verdict.text = "not touched yet"
             return
-        least = status.least[self._number]
-        passive, _ = passive_verdict(least + self._allowance + PASSIVE_TOLERANCE)
-        of: Any = {"passive_at_sensor" if self._is_display else "passive": passive}
+        least, allowance = status.least[self._number], self._touched.sides[self._number].allowance
+        passive, _ = passive_verdict(least + allowance + PASSIVE_TOLERANCE)
+        of: Any = {"passive_at_sensor" if self._touched.is_display else "passive": passive}
         verdict = verdict_bar({self._name: of})
-        allowed = f", it may {si(self._allowance, 'J')}" if self._allowance else ""
+        allowed = f", it may {si(allowance, 'J')}" if allowance else ""
         self._verdict.text = f"{verdict}<div>gave out {si(max(0.0, -least), 'J')} more than it took in{allowed}</div>"
 
     def clear(self) -> None:

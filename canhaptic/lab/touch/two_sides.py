@@ -37,19 +37,12 @@ HAND: Final = {"stiffness": 300.0, "damping": 3.0}
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One of the two handles.
+    """One of the two handles."""
 
-    Attributes:
-        name: Name of its algorithm.
-        axes: Names of its axes in the rig.
-        group: Name of its group of axes; empty without a group.
-        allowance: Energy that its algorithm may give out beyond the energy received [J].
-    """
-
-    name: str
-    axes: tuple[str, ...]
-    group: str = ""
-    allowance: float = 0.0
+    name: str  # of its algorithm
+    axes: tuple[str, ...]  # their names in the rig
+    group: str = ""  # of its axes; empty: none
+    allowance: float = 0.0  # energy that its algorithm may give out beyond the energy received [J]
 
 
 class TouchSlider(NamedTuple):
@@ -64,35 +57,20 @@ class TouchSlider(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TouchScene:
-    """The scene that `touch` runs: both handles on one rig, and what the page shows.
+    """The scene that `touch` runs: both handles on one rig, and what the page shows; places in [m or rad]."""
 
-    Attributes:
-        scene: Scene with the axes of both handles, to be built.
-        sides: The two handles, unprotected first.
-        unit: Unit of the handle's motion.
-        shown: Range of positions on the page in each direction [m or rad].
-        start: Position of the handle at the start [m or rad].
-        solid: Solid regions [low, high] along an axis; in a plane the free range in each direction [m or rad].
-        sliders: Values that the page can change in addition to rate and delay.
-        path: Corners of a path that guides the handle in a plane [m or rad]; empty: none.
-        discs: Centre x, y and radius of discs in a plane [m].
-        links: Half the distance of the motors of a five-bar, and the length of its proximal links [m]; empty: none.
-        is_display: Whether the handles are admittance displays: force in, velocity out.
-        notches: Position of one notch of detents, and their pitch [m or rad]; empty: no detents.
-    """
-
-    scene: Scene
-    sides: tuple[Side, Side]
-    unit: str
-    shown: tuple[tuple[float, float], ...]
-    start: tuple[float, ...]
-    solid: tuple[tuple[float, float], ...]
-    sliders: tuple[TouchSlider, ...]
-    path: tuple[tuple[float, ...], ...] = ()
-    discs: tuple[tuple[float, ...], ...] = ()
-    links: tuple[float, ...] = ()
-    is_display: bool = False
-    notches: tuple[float, ...] = ()
+    scene: Scene  # with the axes of both handles, to be built
+    sides: tuple[Side, Side]  # unprotected first
+    unit: str  # of the motion of the handles
+    shown: tuple[tuple[float, float], ...]  # range of positions on the page in each direction
+    start: tuple[float, ...]  # position of the handle
+    solid: tuple[tuple[float, float], ...]  # [low, high] along an axis; in a plane the free range of each direction
+    sliders: tuple[TouchSlider, ...]  # in addition to rate and delay
+    path: tuple[tuple[float, ...], ...] = ()  # corners of one that guides the handle in a plane; empty: none
+    discs: tuple[tuple[float, ...], ...] = ()  # in a plane: centre x, y and radius of each [m]
+    links: tuple[float, ...] = ()  # of a five-bar: half the distance of the motors, a proximal link [m]; empty: none
+    is_display: bool = False  # whether the handles are admittance displays: force in, velocity out
+    notches: tuple[float, ...] = ()  # place of a notch of detents, and their pitch; empty: no detents
 
     @property
     def directions(self) -> tuple[str, ...]:
