@@ -216,6 +216,7 @@ class EnergyLog(energy_reader.EnergyLog):
         """Return a figure of the run; as `SimulationResult.plot`, with logs as `others`."""
         from canhaptic.view.run_picture import energy_figure
 
+        _require_runs(others, energy_reader.EnergyLog)
         return energy_figure(self, others=others, panels=panels, width=width)
 
     def _columns(self) -> list[tuple[str, str, NDArray[np.float64]]]:
@@ -225,6 +226,13 @@ class EnergyLog(energy_reader.EnergyLog):
             for port, quantities in ports.items()
             for name in quantities.every_name()
         ]
+
+
+def _require_runs(others: Sequence[object], kind: type) -> None:
+    for one in others:
+        if not isinstance(one, kind):
+            text = f"plot: got {one!r}, expected another {kind.__name__} to draw over this one"
+            raise InputError(f"{text}; plot(...).savefig('run.pdf') writes the figure into a file")
 
 
 class SimulationResult:
@@ -321,6 +329,7 @@ class SimulationResult:
         """
         from canhaptic.view.run_picture import energy_figure
 
+        _require_runs(others, SimulationResult)
         with ExitStack() as stack:
             log, *further = [stack.enter_context(run.log()) for run in (self, *others)]
             figure: Figure = energy_figure(

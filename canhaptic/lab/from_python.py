@@ -37,7 +37,7 @@ _Plain = Mapping[str, Any]
 
 def compare(
     scene: _SceneLike,
-    algorithms: Sequence[object] | str | None = None,
+    algorithms: Sequence[object] | str | _Changes | None = None,
     changes: _Changes | None = None,
     *,
     duration: float | str | None = None,
@@ -53,7 +53,7 @@ def compare(
     Args:
         scene: A scene file, a mapping with its keys, or a loaded scene; with simulated drives.
         algorithms: Names of algorithms, as a list or separated by commas, or classes and functions of your own, which
-            the result names as they are; all that have a name by default.
+            the result names as they are; all that have a name by default. A mapping is taken as `changes`.
         changes: Values of the scene to replace, as for `simulate`.
         duration: Duration [s]; by default the scene's.
         rate: Rate that replaces the scene's [Hz], possibly beyond its bus; for single axes, not over CAN.
@@ -70,6 +70,9 @@ def compare(
     Examples:
         >>> canhaptic.compare("demo", ["unprotected", "guarded"]).result["axes"]["handle"]  # doctest: +SKIP
     """
+    if isinstance(algorithms, Mapping):
+        changes = {**algorithms, **(changes or {})}
+        algorithms = None
     asked: list[Any] | None = read("names", algorithms, "algorithms")
     options: _Plain = {
         "duration": read("seconds", duration, "duration"), "rate": read("rate", rate, "rate"), "over_can": over_can,

@@ -58,6 +58,17 @@ def test_compare_takes_a_name_and_changes(capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.slow
+def test_compare_takes_changes_in_second_place_as_the_other_studies_do() -> None:
+    changes, options = {"environment.stiffness": 300.0}, {"duration": 0.3, "repeats": 0}
+    found = canhaptic.compare("demo", changes, **options)  # type: ignore[arg-type]
+    by_name = canhaptic.compare("demo", ["guarded"], changes, **options)  # type: ignore[arg-type]
+    of, of_names = (one.result["axes"]["handle"]["algorithms"] for one in (found, by_name))
+    assert of["guarded"] == of_names["guarded"]
+    assert found.result["axes"]["handle"]["environment"] == by_name.result["axes"]["handle"]["environment"]
+    assert repr(found) == "<Comparison of handle: figures in `result`, runs of single axes in `axes`>"
+
+
+@pytest.mark.slow
 def test_compare_takes_displays() -> None:
     found = canhaptic.compare("admittance/virtual_mass", ["guarded"], duration=0.05)
     assert found.result["axes"]["handle"]["guarded"]["status"] == "completed"

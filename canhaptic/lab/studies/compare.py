@@ -49,6 +49,10 @@ class Comparison:
     axes: tuple[AxisComparison, ...]
     sample_time: float
 
+    def __repr__(self) -> str:
+        ports = [*self.result.get("axes", ()), *self.result.get("groups", ())]
+        return f"<Comparison of {', '.join(ports)}: figures in `result`, runs of single axes in `axes`>"
+
 
 class Case(NamedTuple):
     """One column of a comparison."""
