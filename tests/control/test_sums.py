@@ -151,7 +151,10 @@ REFUSED: dict[str, tuple[list[Any], str]] = {
         [("a", CoulombSurface(friction=1.0, stiffness=9.0)), ("b", ViscoelasticMedium(stiffness=1, relaxation_time=1))],
         "a and b: cannot be added: need a strain each",
     ),
-    "a strain and a position": ([("a", CoulombSurface(friction=1.0, stiffness=9.0)), STOPS], "a and axes.stops"),
+    "a strain and a position": (
+        [("a", CoulombSurface(friction=1.0, stiffness=9.0)), STOPS],
+        "a and axes.stops: .*depend on its strain.*N5.*take viscous_medium for a: it adds",
+    ),
     "press": ([STOPS, ("b", SpringDamperWall(stiffness=9.0, position=0.005))], "b and axes.stops: .*press against"),
     "no notch": ([("a", Detents(peak=1.0, pitch=0.02, position=0.01)), STOPS], "a: .* no notch from -0.004 to 0.004"),
     "own zones": ([("my.py:Notches", Notches()), STOPS], "my.py:Notches: .*zones of contact of its own"),

@@ -281,8 +281,9 @@ def _strained(strained: Sequence[tuple[str, Any]], others: Sequence[tuple[str, A
     for other, medium in others:
         if not isinstance(medium, ViscousMedium):
             raise _refused(
-                f"{name} and {other}", "need a state each: the one its strain, the other the position",
-                f"leave one of them out; {name} adds to viscous_medium",
+                f"{name} and {other}", "energy and force of the first depend on its strain, those of the other on the "
+                "position, and an algorithm keeps one of the two (N5, docs/theory/sums.md)",
+                f"leave one of them out, or take viscous_medium for {name}: it adds to anything",
             )  # fmt: skip
         damping += medium.damping
     found: Parameters = part.model_copy(update={"damping": part.damping + damping})
