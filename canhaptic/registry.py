@@ -80,11 +80,17 @@ def unknown_key(key: str, names: Iterable[str]) -> str:
     return f"unknown key{nearest(key, known) or '; expected one of: ' + ', '.join(known)}"
 
 
-def installed(kind: str) -> "dict[str, EntryPoint]":
-    """Return what installed packages offer of a kind, by name; of an unknown kind nothing."""
+def offered() -> "dict[str, dict[str, EntryPoint]]":
+    """Return what installed packages offer, by kind and name."""
     from importlib.metadata import entry_points  # a plain run loads nothing of it
 
-    return {found.name: found for found in entry_points(group=GROUPS[kind])} if kind in GROUPS else {}
+    found = entry_points()
+    return {kind: {of.name: of for of in found.select(group=group)} for kind, group in GROUPS.items()}
+
+
+def installed(kind: str) -> "dict[str, EntryPoint]":
+    """Return what installed packages offer of a kind, by name; of an unknown kind nothing."""
+    return offered().get(kind, {})
 
 
 def package_of(found: "EntryPoint") -> str:

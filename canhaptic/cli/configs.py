@@ -8,7 +8,7 @@ from typing import Final
 
 from canhaptic.errors import InputError
 from canhaptic.files import FOLDERS, shipped
-from canhaptic.registry import GROUPS, installed, package_of
+from canhaptic.registry import offered, package_of
 from canhaptic.view.run_lines import make_console
 from canhaptic.view.table import Table
 from canhaptic.view.terminal import note_file, write_json
@@ -24,7 +24,7 @@ def execute(arguments: argparse.Namespace) -> int:
         return 0
     folder = shipped("configs")
     scenes = {path.relative_to(folder).as_posix(): _about(path) for path in sorted(folder.rglob("*.yaml"))}
-    plug_ins = {kind: {name: package_of(of) for name, of in installed(kind).items()} for kind in GROUPS}
+    plug_ins = {kind: {name: package_of(of) for name, of in found.items()} for kind, found in offered().items()}
     if arguments.json:
         write_json({"folder": str(folder), "configs": scenes, "plug_ins": plug_ins})
         return 0

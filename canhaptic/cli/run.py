@@ -18,7 +18,7 @@ from canhaptic.host.stop_signal import StopSignal
 from canhaptic.result import RunResult
 from canhaptic.scene.build import Experiment, build, logs_elsewhere
 from canhaptic.scene.buses import kind_of
-from canhaptic.scene.models import NamedBus, Scene, require_no_guesses
+from canhaptic.scene.models import Scene, require_no_guesses
 from canhaptic.view.terminal import (
     failure,
     leave_closed_terminal,
@@ -120,12 +120,9 @@ def _note_buzz(energy_log: Path | None, scene: Scene) -> None:
             note_buzz(energy_log, scene)
 
 
-def _has_preflight(bus: NamedBus) -> bool:
-    return bus.parameters.interface == "socketcan" or kind_of(bus.parameters) != "can"
-
-
 def _preflight(scene: Scene) -> Iterator[str]:
-    if not scene.simulated and any(map(_has_preflight, scene.buses)):
+    buses = [bus.parameters for bus in scene.buses]
+    if not scene.simulated and any(bus.interface == "socketcan" or kind_of(bus) != "can" for bus in buses):
         from canhaptic.host.socketcan_state import require_preflight
 
         for note in require_preflight(scene.loaded_buses):
