@@ -140,7 +140,7 @@ def start(case: Case, sign: float) -> Motion:
     return Motion(moved, max(0.0, counted), max(0.0, ends[0]), max(0.0, ends[1]))
 
 
-def may_act(case: Case, sign: float, number: int) -> list[float]:
+def largest_acting(case: Case, sign: float, number: int) -> list[float]:
     """Torques along that may act in a hold: the one sent for it, and those before it that losses let stay."""
     sent = [case.bound.torque, *case.memory.under_way[: case.known.delay]]
     last = min(number, case.known.delay)
@@ -151,7 +151,7 @@ def under_way(case: Case, sign: float, speed: float, holds: int, which: int) -> 
     """Sum, worst partial sum with the tail, and the last motion."""
     hand, motion, total, worst = hand_of(case, sign), start(case, sign), 0.0, 0.0
     for number in range(1, holds + 1):
-        acting = may_act(case, sign, number)
+        acting = largest_acting(case, sign, number)
         if which != ANY:
             acting = [sign * (case.memory.under_way[0] if which == SENT else case.bound.torque)]
         most, least = max(0.0, *acting, 0.0), max(0.0, min(acting, default=0.0))

@@ -9,8 +9,8 @@ from canhaptic.control.certificates.certified_torque import (
     Declared,
     TorqueBound,
     bound_memory,
-    largest_in_sum,
-    taken_along,
+    largest_of_even_holds,
+    taken_by_queue,
 )
 from canhaptic.control.certificates.scalar_bounds import displacement_response
 from canhaptic.control.multi_axis.along import adds_up, certified_shares, share_in_sum
@@ -59,9 +59,9 @@ def test_the_share_of_one_axis_is_the_torque_that_its_own_certificates_permit(de
             row[0] = torque
         bound = TorqueBound(displacement=moved, torque=held, dissipated=dissipated)
         memory = bound_memory(known, [*queued, 0.0], list_of_zeros)
-        if taken_along(known, bound, memory, 1.0, speed or 0.0)[0] > energy + dissipated:
+        if taken_by_queue(known, bound, memory, 1.0, speed or 0.0)[0] > energy + dissipated:
             continue  # a queue that this bound would not have let pass
-        expected = largest_in_sum(known, bound, memory, 1.0, energy)[0]
+        expected = largest_of_even_holds(known, bound, memory, 1.0, energy)[0]
         found = share_in_sum(at, [1.0], energy, (speed or 0.0) * T)
         if found > 0.0:
             assert found == pytest.approx(expected, rel=1e-9)

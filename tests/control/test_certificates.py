@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.control.certificates.certified_torque import Declared, for_any_hand
+from canhaptic.control.certificates.certified_torque import Declared, torque_for_any_hand
 from canhaptic.control.certificates.scalar_bounds import (
     NO_RESPONSE,
     WINDOW,
@@ -107,7 +107,7 @@ def test_under_the_device_damping_bound_no_motion_takes_more_than_there_is(energ
     if 4.0 * damping * energy / sample_time < under_way**2:
         return
     known = Declared(sample_time, 1, 0, False, NO_RESPONSE, damping, 0.0, 0.0)
-    torque = for_any_hand(known, energy - sample_time * under_way**2 / (4.0 * damping))
+    torque = torque_for_any_hand(known, energy - sample_time * under_way**2 / (4.0 * damping))
     left = energy - under_way * moves[0] - torque * moves[1] + damping / sample_time * (moves[0] ** 2 + moves[1] ** 2)
     assert left >= -1e-9 * (energy + (under_way + torque))
 

@@ -29,18 +29,18 @@ from canhaptic.control.multi_axis.group_account import (
     older_size,
     share_of_late,
     shares,
-    shares_if_apart,
+    shares_per_axis,
     worst_case,
 )
 from canhaptic.control.multi_axis.group_certificates import (
     Acting,
-    along_last,
     axes_of,
-    base_of,
-    gain_of,
     per_axis_limits,
     response_to_late,
     taken_by_mover,
+    work_base,
+    work_gain,
+    work_of_last_hold,
     write_cells,
 )
 from canhaptic.control.multi_axis.group_kernel import no_group_holds
@@ -136,13 +136,13 @@ def extraction(case: Case, torques: list[float], count: int) -> float:
     """What torques that act after some of those under way may take out, with all that came late and the mover."""
     axes, memory = case.settings.axes, case.memory
     older = Acting([*memory.before.highest], [*memory.before.lowest])
-    along = along_last(axes, torques, memory.displacement, memory.position_uncertainty)
-    base = base_of(
+    along = work_of_last_hold(axes, torques, memory.displacement, memory.position_uncertainty)
+    base = work_base(
         axes, torques, memory.displacement, along, memory.torques, case.under_way.torques, case.under_way.first, count,
         older,
     )  # fmt: skip
     late = response_to_late(axes, torques, older.highest, older.lowest, torques, axes.during)
-    return base + gain_of(axes, torques) + late + taken_by_mover(torques, memory.mover_motion[count])
+    return base + work_gain(axes, torques) + late + taken_by_mover(torques, memory.mover_motion[count])
 
 
 def test_a_group_with_late_torques_needs_what_each_hold_takes_at_its_worst_and_what_is_late_besides() -> None:
@@ -175,14 +175,14 @@ def test_the_share_by_hand_force_is_the_largest_whose_parabola_is_within_the_ene
         if left < late.constant:
             continue
         older = Acting([*memory.before.highest], [*memory.before.lowest])
-        along = along_last(axes, asked, memory.displacement, memory.position_uncertainty)
-        base = taken_by_mover(asked, memory.mover_motion[DELAY]) + base_of(
+        along = work_of_last_hold(axes, asked, memory.displacement, memory.position_uncertainty)
+        base = taken_by_mover(asked, memory.mover_motion[DELAY]) + work_base(
             axes, asked, memory.displacement, along, memory.torques, way.torques, way.first, DELAY, older
         )
         best = []
         for part in (1.0, size):
             late = share_of_late(axes, memory, way, asked, part)
-            gain = max(0.0, part * part * gain_of(axes, asked) + late.square)
+            gain = max(0.0, part * part * work_gain(axes, asked) + late.square)
             low, high = 0.0, 1.0
             for _ in range(60):  # the parabola falls at first where the axes move inward
                 half = 0.5 * (low + high)
@@ -206,7 +206,7 @@ def test_energy_that_a_torque_brings_in_pays_for_none_the_other_way(sign: float)
         share, along = shares(case.at(under_way=sent), [sign * 0.5], energy)[0], sign * 0.5
         base = worst_case(case.at(under_way=sent), [along], DELAY)
         budget = energy - (sum(taken) if sign > 0.0 else 0.0)
-        assert share == pytest.approx(hand_force_bound(budget, base, gain_of(case.settings.axes, [along])))
+        assert share == pytest.approx(hand_force_bound(budget, base, work_gain(case.settings.axes, [along])))
         assert (share > 0.0) is (sign > 0.0)
 
 
@@ -282,8 +282,8 @@ def test_friction_on_what_one_axis_has_left_is_not_made_good_by_another() -> Non
     axes, moved, nothing = axes_of((loop, loop), 0.0, None), [-1e-3, 1e-3], [0.0, 0.0]
     kept, sent = math.exp(-50.0 * T / 0.25), [[0.0, 0.0]] * 3
     for count in (0, 1, 2):
-        along = along_last(axes, [1.0, 1.0], moved, nothing)
-        base = base_of(axes, [1.0, 1.0], moved, along, nothing, sent, 0, count, Acting([*nothing], [*nothing]))
+        along = work_of_last_hold(axes, [1.0, 1.0], moved, nothing)
+        base = work_base(axes, [1.0, 1.0], moved, along, nothing, sent, 0, count, Acting([*nothing], [*nothing]))
         assert base >= 1e-3 * (1.0 - kept ** (count + 1))
 
 
@@ -303,9 +303,9 @@ def test_the_base_of_a_group_of_one_is_the_displacement_of_one_axis(lag: float, 
         held = [draw.uniform(-3.0, 3.0) for _ in range(DELAY + 1)]
         highest, lowest = held[0] + draw.random(), held[0] - draw.random()
         start, position_uncertainty = draw.uniform(-2e-4, 2e-5), 0.0 if damping else 3e-6
-        along = along_last(axes, [1.0], [start], [position_uncertainty])
+        along = work_of_last_hold(axes, [1.0], [start], [position_uncertainty])
         rows, now = [[torque] for torque in (*held[1:], 0.0)], Acting([highest], [lowest])
-        base = base_of(axes, [1.0], [start], along, held[:1], rows, 0, DELAY, now)
+        base = work_base(axes, [1.0], [start], along, held[:1], rows, 0, DELAY, now)
         moved, older = start + position_uncertainty + 1e-6, highest
         for torque, following in zip(held, [*held[1:], None], strict=True):
             counted = max(0.0, torque) + response.late * max(0.0, older - torque)
@@ -369,7 +369,7 @@ def test_mirrored_axes_that_act_apart_need_the_same_and_get_the_mirrored_torques
             moved, torques, under_way, asked, carried = ((sign * a, sign * b) for a, b in pairs)
             apart.take(moved, (1e-7, 1e-7), torques, [under_way], [carried] * 3)
             sent = apart.inward_first(asked, 2e-3)
-            found.append((apart.needed_by_hand(), apart.share_by_hand(asked, 5e-3), *(sign * f for f in sent)))
+            found.append((apart.needed_by_hand(), apart.share_per_axis(asked, 5e-3), *(sign * f for f in sent)))
         assert found[0] == pytest.approx(found[1], rel=1e-9, abs=1e-15), seed
         held += 0.0 < found[0][1] < 1.0
     assert held > 5
@@ -396,7 +396,7 @@ def test_axes_together_permit_more_than_one_by_one_and_nothing_where_a_frame_may
         assert has_two_bounds(at) is (losses == 0)
     at = even_group([0.2, 0.2], 0.0, 0)
     at.memory.displacement[:] = [-1.0e-3, 0.8e-3]
-    assert shares(at, [5.0, 5.0], -1e-6)[0] == shares_if_apart(at, [5.0, 5.0], -1e-6)[0]  # in debt one by one
+    assert shares(at, [5.0, 5.0], -1e-6)[0] == shares_per_axis(at, [5.0, 5.0], -1e-6)[0]  # in debt one by one
 
 
 def least_energy(seed: int, factor: float) -> tuple[float, int]:
@@ -413,7 +413,7 @@ def least_energy(seed: int, factor: float) -> tuple[float, int]:
     for _ in range(30):
         asked = [draw.gauss(0.0, 5.0) for _ in axes]
         share = shares(at, asked, energy)[0]
-        larger += min(1.0, share) > min(1.0, shares_if_apart(at, asked, energy)[0]) + 1e-9
+        larger += min(1.0, share) > min(1.0, shares_per_axis(at, asked, energy)[0]) + 1e-9
         queue[delay] = [min(1.0, share) * factor * f for f in asked]
         held = queue.pop(0)
         queue.append([0.0] * len(masses))

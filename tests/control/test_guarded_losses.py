@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from canhaptic.control.certificates.certified_torque import Declared, TorqueBound, end_gap, hand_along
+from canhaptic.control.certificates.certified_torque import Declared, TorqueBound, displacement_by_hand, end_gap
 from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
@@ -141,7 +141,7 @@ def test_while_a_drag_acts_the_hand_may_pull_either_way(delay: int, late: float)
     declared, bound = made._settings.declared, made._state.bound
     assert dragged
     assert bound.out != 0.0
-    assert hand_along(declared, bound, bound.out) == declared.response.push
+    assert displacement_by_hand(declared, bound, bound.out) == declared.response.push
     for _ in range(delay + 2):
         made.step(0.012, 0.0)
-    assert hand_along(declared, bound, bound.out) == declared.response.hand < declared.response.push
+    assert displacement_by_hand(declared, bound, bound.out) == declared.response.hand < declared.response.push

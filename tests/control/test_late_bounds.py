@@ -9,11 +9,11 @@ from canhaptic.control.certificates.certified_torque import (
     LateMotion,
     TorqueBound,
     bound_memory,
-    by_reach_of_late,
-    for_every_hand,
-    free_of_late,
-    largest_of_late,
+    budget_for_any_hand,
+    free_of_late_torques,
+    largest_of_late_torques,
     taken_under_way,
+    torque_by_late_reach,
 )
 from canhaptic.control.certificates.scalar_bounds import displacement_response, hold_timing
 from canhaptic.kernels import list_of_zeros
@@ -30,7 +30,7 @@ from tests.control.late_formulas import (
     hand_of,
     hold,
     largest,
-    may_act,
+    largest_acting,
     same,
     tail,
     under_way,
@@ -70,7 +70,7 @@ def squares(case: Case, holds: int) -> float:
     known = case.known
     found = known.late * max(0.0, case.bound.highest - known.friction, -case.bound.lowest - known.friction) ** 2
     for number in range(1, holds + 1):
-        most = max(0.0, *may_act(case, 1.0, number), *may_act(case, -1.0, number))
+        most = max(0.0, *largest_acting(case, 1.0, number), *largest_acting(case, -1.0, number))
         found += (known.sample_time + known.late) * max(0.0, most - known.friction) ** 2
     return found
 
@@ -82,7 +82,7 @@ def left_for_all(case: Case, energy: float, holds: int) -> float:
     return energy - needed / (4.0 * case.known.damping) if case.known.damping > 0.0 else -math.inf
 
 
-def for_any(case: Case) -> float:
+def certain_dissipation(case: Case) -> float:
     return min(case.bound.certain, case.bound.dissipated)
 
 
@@ -90,7 +90,7 @@ def test_a_hand_of_which_nothing_is_known_takes_the_squares_of_all_torques_beyon
     for seed in CASES:
         case = case_of(seed)
         for holds in (case.known.delay, case.known.delay + case.known.losses):
-            found = for_every_hand(case.known, case.bound, case.memory, case.energy, holds)
+            found = budget_for_any_hand(case.known, case.bound, case.memory, case.energy, holds)
             assert same(found, left_for_all(case, case.energy, holds)), seed
 
 
@@ -102,8 +102,8 @@ def test_free_is_what_torques_under_way_in_both_directions_leave_by_the_better_o
             left = case.energy + case.bound.dissipated
             ways.append(left - sum(under_way(case, sign, known.hand_speed, holds, ANY)[1] for sign in (1.0, -1.0)))
         if known.damping > 0.0 or known.friction > 0.0:
-            ways.append(left_for_all(case, case.energy + for_any(case), holds))
-        assert same(free_of_late(known, case.bound, case.memory, case.energy), max(ways)), seed
+            ways.append(left_for_all(case, case.energy + certain_dissipation(case), holds))
+        assert same(free_of_late_torques(known, case.bound, case.memory, case.energy), max(ways)), seed
 
 
 def takes(case: Case, motion: Motion, torque: float, hand: float, friction: float) -> float:
@@ -121,8 +121,8 @@ def test_the_largest_torque_takes_all_that_is_left_by_the_best_of_the_certificat
     for seed in range(250):
         case = case_of(seed, losses=(0,))
         known = case.known
-        by_all, for_all, by_force = largest_of_late(known, case.bound, case.memory, sign, case.energy)
-        left = max(0.0, left_for_all(case, case.energy + for_any(case), known.delay))
+        by_all, for_all, by_force = largest_of_late_torques(known, case.bound, case.memory, sign, case.energy)
+        left = max(0.0, left_for_all(case, case.energy + certain_dissipation(case), known.delay))
         longest = known.sample_time + known.late
         assert same(for_all, known.friction + math.sqrt(4.0 * known.damping * left / longest)), seed
         expected, is_tight = for_all, True
@@ -175,7 +175,7 @@ def for_speed(case: Case, sign: float) -> None:
         given, _, motion = under_way(case, sign, speed, known.delay, which)
         longest = (known.sample_time + known.late) * (known.losses + 1)
         found.append(max(0.0, ((left - given) / speed - known.late * motion.highest) / longest))
-    assert same(largest_of_late(known, case.bound, case.memory, sign, case.energy)[0], min(found))
+    assert same(largest_of_late_torques(known, case.bound, case.memory, sign, case.energy)[0], min(found))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -196,8 +196,8 @@ def test_where_frames_may_be_lost_the_least_of_what_was_sent_and_held_on_counts(
         found = []
         for which in (SENT, HELD_ON) if known.delay == 1 else (ANY,):
             given, _, motion = under_way(case, sign, 0.0, known.delay, which)
-            found.append(by_reach_of_late(known, hand, LateMotion(*motion), 0.0, left - given))
-        by_force = largest_of_late(known, case.bound, case.memory, sign, case.energy)[2]
+            found.append(torque_by_late_reach(known, hand, LateMotion(*motion), 0.0, left - given))
+        by_force = largest_of_late_torques(known, case.bound, case.memory, sign, case.energy)[2]
         assert by_force == pytest.approx(min(found), rel=1e-9), seed
         used += 1
     assert used > 5

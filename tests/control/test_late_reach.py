@@ -5,7 +5,12 @@ import random
 
 import pytest
 
-from canhaptic.control.certificates.certified_torque import LateMotion, below_older, by_reach_of_late, takes_in
+from canhaptic.control.certificates.certified_torque import (
+    LateMotion,
+    absorbing_torque,
+    torque_below_older,
+    torque_by_late_reach,
+)
 from tests.control.late_formulas import (
     after,
     case_of,
@@ -47,7 +52,7 @@ def test_a_torque_that_may_be_held_on_takes_what_is_left_in_the_worst_number_of_
         if max(needs(0.0, holds) for holds in range(1, losses + 2)) > energy:
             continue
         expected = largest(lambda net: max(needs(net, holds) for holds in range(1, losses + 2)), energy)
-        found = by_reach_of_late(known, hand, motion, friction, energy)
+        found = torque_by_late_reach(known, hand, motion, friction, energy)
         assert found == pytest.approx(expected, rel=1e-6, abs=1e-9), seed
         used += 1
     assert used > 30
@@ -88,7 +93,9 @@ def test_a_torque_below_the_older_ones_pays_for_what_they_give_out_meanwhile() -
             constant = needs(0.0)
             square = 0.5 * (needs(2.0) - 2.0 * needs(1.0) + constant)
             found.append(root_of(square, needs(1.0) - constant - square, energy - constant))
-        assert below_older(known, hand, motion, friction, energy) == pytest.approx(min(found), rel=1e-6, abs=1e-9), seed
+        assert torque_below_older(known, hand, motion, friction, energy) == pytest.approx(
+            min(found), rel=1e-6, abs=1e-9
+        ), seed
 
 
 def test_in_debt_a_torque_takes_in_by_itself_what_is_asked_for_or_as_much_as_it_can() -> None:
@@ -114,7 +121,7 @@ def test_in_debt_a_torque_takes_in_by_itself_what_is_asked_for_or_as_much_as_it_
 
         square = 0.5 * (needs(2.0) - 2.0 * needs(1.0))
         expected = root_of(square, needs(1.0) - square, energy)
-        found = takes_in(known, hand, motion, friction, energy)
+        found = absorbing_torque(known, hand, motion, friction, energy)
         assert found == pytest.approx(expected, rel=1e-6, abs=1e-9), seed
         assert needs(found, r.share) <= 0.0, seed
         met += found > 0.0 and needs(found, r.share) <= energy * (1.0 - 1e-9)

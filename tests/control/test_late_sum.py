@@ -11,7 +11,7 @@ from canhaptic.control.certificates.certified_torque import (
     LateMotion,
     TorqueBound,
     bound_memory,
-    largest_of_late,
+    largest_of_late_torques,
     taken_in_hold,
 )
 from canhaptic.control.certificates.scalar_bounds import displacement_response, hold_timing, next_displacement
@@ -67,9 +67,11 @@ def test_a_certificate_more_never_costs_torque(losses, late):
         bound.most = bound.highest = bound.lowest = bound.least = bound.torque
         bound.dissipated = bound.certain = draw.uniform(0.0, 2e-3)
         memory, energy = bound_memory(whole, [draw.uniform(0.0, 2.0), 0.0], list_of_zeros), draw.uniform(0.0, 2e-3)
-        most = largest_of_late(whole, bound, memory, 1.0, energy)[0]
+        most = largest_of_late_torques(whole, bound, memory, 1.0, energy)[0]
         for left_out in ({"by_hand_force": False}, {"friction": 0.0}, {"hand_speed": 0.0}, {"damping": 0.0}):
-            assert largest_of_late(replace(whole, **left_out), bound, memory, 1.0, energy)[0] <= most * (1 + 1e-9)
+            assert largest_of_late_torques(replace(whole, **left_out), bound, memory, 1.0, energy)[0] <= most * (
+                1 + 1e-9
+            )
 
 
 def test_a_debt_is_met_with_a_torque_that_takes_energy_in_by_itself_or_with_none():
@@ -81,7 +83,7 @@ def test_a_debt_is_met_with_a_torque_that_takes_energy_in_by_itself_or_with_none
         bound = TorqueBound(displacement=moved, torque=before, out=1.0)
         bound.most = bound.highest = bound.lowest = bound.least = before
         memory = bound_memory(known, [0.0], list_of_zeros)
-        torque = largest_of_late(known, bound, memory, 1.0, -draw.uniform(0.0, 1e-2))[0]
+        torque = largest_of_late_torques(known, bound, memory, 1.0, -draw.uniform(0.0, 1e-2))[0]
         sent += torque > 0.0
         fastest = moved / T + 0.5 * T * (before + PULL) / MASS
         for begin in (0.0, known.late):  # it acts from the SYNC on, or from the end of the window

@@ -71,8 +71,8 @@ def climb(case: str, seed: int, steps: int) -> float:
 @pytest.mark.parametrize("case", CASES)
 def test_a_skipped_sync_leaves_no_more_open_than_is_stated(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert climb(case, 4, 30) <= 1e-12
-    of_hold: Any = certified_torque.reach_of_late
-    monkeypatch.setattr(certified_torque, "reach_of_late", lambda *known: of_hold(*known[:-1], 1.0))
+    of_hold: Any = certified_torque.reach_by_older_torques
+    monkeypatch.setattr(certified_torque, "reach_by_older_torques", lambda *known: of_hold(*known[:-1], 1.0))
     assert climb(case, 4, 30) > 1e-4  # of a hold of one sample time
 
 

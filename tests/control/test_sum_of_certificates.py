@@ -14,9 +14,9 @@ from canhaptic.control.certificates.certified_torque import (
     TorqueBound,
     bound_memory,
     free_energy,
-    free_in_sum,
-    free_of_late,
-    largest_in_sum,
+    free_of_even_holds,
+    free_of_late_torques,
+    largest_of_even_holds,
     largest_torques,
     taken,
 )
@@ -74,7 +74,7 @@ def test_the_largest_torque_is_where_what_is_taken_meets_what_is_left(seed):
     energy = draw.uniform(0.0, 2e-3)
     under_way = [draw.uniform(0.0, 0.4), 0.0]
     memory = bound_memory(known, under_way, list_of_zeros)
-    largest, for_all, by_force = largest_in_sum(known, bound, memory, 1.0, energy)
+    largest, for_all, by_force = largest_of_even_holds(known, bound, memory, 1.0, energy)
     assert largest >= by_force >= for_all
     for torque, is_left in ((0.999 * largest, True), (1.001 * largest + 1e-6, False)):
         left = energy + bound.dissipated - needed(known, bound, memory, torque)
@@ -93,7 +93,7 @@ def test_by_the_hand_force_alone_the_largest_torque_is_that_of_the_sum(sign):
         bound.out, bound.turns = draw.choice([1.0, -1.0]), draw.choice([False, False, True])
         memory = bound_memory(known, [draw.uniform(-1.0, 1.0) for _ in range(4)], list_of_zeros)
         energy = draw.uniform(-1e-4, 2e-3)
-        expected = largest_in_sum(known, bound, memory, sign, energy)
+        expected = largest_of_even_holds(known, bound, memory, sign, energy)
         found = largest_torques(replace(known, by_hand_force_alone=True), bound, memory, sign, energy)
         assert found == pytest.approx(expected, rel=1e-9), seed
         assert found[1] == 0.0
@@ -121,7 +121,7 @@ def test_free_is_what_torques_under_way_in_both_directions_leave():
 def test_in_debt_the_speed_of_the_hand_allows_no_torque_beyond_friction():
     known = declared(damping=20.0, friction=0.5, speed=0.3, delay=0)
     memory = bound_memory(known, [0.0], list_of_zeros)
-    assert largest_in_sum(known, TorqueBound(), memory, 1.0, -1e-6)[0] == 0.5
+    assert largest_of_even_holds(known, TorqueBound(), memory, 1.0, -1e-6)[0] == 0.5
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
@@ -129,7 +129,7 @@ def test_in_debt_what_moves_inward_for_certain_allows_a_torque_as_without_fricti
     known = declared(hand_force=5.0, friction=friction, damping=20.0, delay=0)
     memory, moved, debt = bound_memory(known, [0.0], list_of_zeros), -4e-4, -1e-4
     base = next_displacement(moved, 0.0, 0.0, known.response, known.response.hand)
-    found = largest_in_sum(known, TorqueBound(displacement=moved), memory, 1.0, debt)[0]
+    found = largest_of_even_holds(known, TorqueBound(displacement=moved), memory, 1.0, debt)[0]
     assert found * (base + known.response.during * found) == pytest.approx(debt)
 
 
@@ -140,7 +140,7 @@ def test_late_torques_and_lost_frames_are_certified_by_rules_of_their_own(losses
     known = Declared(T, 1, losses, True, response, 0.0, 0.0, 0.0, late, late / T, timing.left)
     bound = TorqueBound(displacement=1e-4, torque=1.0, most=1.0, highest=1.0, lowest=0.5)
     memory = bound_memory(known, [0.5, 0.0], list_of_zeros)
-    ways = [rule(known, bound, memory, 1e-3) for rule in (free_in_sum, free_of_late)]
+    ways = [rule(known, bound, memory, 1e-3) for rule in (free_of_even_holds, free_of_late_torques)]
     assert (losses or late) == 0 or ways[1] < ways[0]
     assert free_energy(known, bound, memory, 1e-3) == ways[1 if losses or late else 0]
 
@@ -273,9 +273,9 @@ def test_a_declared_certificate_more_never_costs_torque():
     bound = TorqueBound(displacement=-5e-5, torque=1.0, out=1.0)
     whole = declared(hand_force=5.0, damping=0.5, friction=0.5, speed=0.2)
     memory = bound_memory(whole, [0.8, 0.0], list_of_zeros)
-    most = largest_in_sum(whole, bound, memory, 1.0, 1e-3)[0]
+    most = largest_of_even_holds(whole, bound, memory, 1.0, 1e-3)[0]
     for left_out in ({"by_hand_force": False}, {"friction": 0.0}, {"hand_speed": 0.0}, {"damping": 0.0}):
-        assert largest_in_sum(replace(whole, **left_out), bound, memory, 1.0, 1e-3)[0] <= most + ROUNDING
+        assert largest_of_even_holds(replace(whole, **left_out), bound, memory, 1.0, 1e-3)[0] <= most + ROUNDING
 
 
 @pytest.mark.parametrize(("kept", "is_held"), [(0.0, False), (None, True)])

@@ -12,10 +12,10 @@ from canhaptic.control.certificates.certified_torque import (
     TorqueBound,
     acted,
     bound_memory,
+    displacement_by_hand,
     doubt_of_late,
     end_gap,
     end_hold,
-    hand_along,
     keep,
     look_for_turn,
     outward,
@@ -173,7 +173,7 @@ def test_the_farthest_displacement_is_the_least_that_any_mean_allows() -> None:
             end_hold(known, bound, memory, moves[-1], torque)
             counted.append((bound.most, -bound.least))
         for sign in (1.0, -1.0):
-            hand = hand_along(known, bound, sign)
+            hand = displacement_by_hand(known, bound, sign)
             acting = [max(0.0, sign * torque) for torque in torques]
             if known.late:
                 acting = [max(0.0, both[0] if sign > 0.0 else both[1]) for both in counted]
@@ -409,7 +409,7 @@ def test_the_hand_counts_for_its_push_either_way_where_a_hold_can_contain_a_turn
                 bound.above, bound.below = (way, 1.0) if edge > 0.0 else (1.0, way)
                 look_for_turn(known, bound, memory, 0.0, 1.0)
                 assert bound.turns is turns
-                along = [hand_along(known, bound, sign) for sign in (out, -out)]
+                along = [displacement_by_hand(known, bound, sign) for sign in (out, -out)]
                 assert along == ([6e-6, 6e-6] if turns else [1e-6, 6e-6])
                 assert bound.kept == (0 if turns else 5)
                 new = edge * draw.uniform(3.0, 9.0)

@@ -200,8 +200,8 @@ def test_the_hint_for_lost_frames_is_what_the_certificates_do() -> None:
     apart.take(still, still, torques, [torques])
     limit = next(h.limit for h in hints_of(scene) if h.what == "stiffness, certified by hand force")
     assert limit is not None
-    assert apart.share_by_hand(torques, 0.999 * 20.0**2 / (2.0 * limit)) < 1.0
-    assert apart.share_by_hand(torques, 1.001 * 20.0**2 / (2.0 * limit)) == 1.0
+    assert apart.share_per_axis(torques, 0.999 * 20.0**2 / (2.0 * limit)) < 1.0
+    assert apart.share_per_axis(torques, 1.001 * 20.0**2 / (2.0 * limit)) == 1.0
 
 
 @pytest.mark.slow

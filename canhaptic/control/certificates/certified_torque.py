@@ -138,7 +138,7 @@ def reach(declared: Declared, bound: TorqueBound, sign: float, torque: float) ->
     return farthest
 
 
-def hand_along(declared: Declared, bound: TorqueBound, sign: float) -> float:
+def displacement_by_hand(declared: Declared, bound: TorqueBound, sign: float) -> float:
     """Return what the hand's pull (outward) or push (inward) adds at most to a displacement along `sign` [m or rad]."""
     if sign * bound.out < 0.0 or bound.turns:
         return declared.response.push
@@ -195,7 +195,7 @@ def dissipate(bound: TorqueBound, energy: float) -> None:
     bound.certain += energy
 
 
-def for_any(bound: TorqueBound) -> float:
+def certain_dissipation(bound: TorqueBound) -> float:
     """Return the device's dissipation that a certificate for an arbitrary hand may use, less uncertainty [J]."""
     return min(bound.certain, bound.dissipated)
 
@@ -296,7 +296,7 @@ def doubt_of_late(
         damped = differs * path + differs * differs * declared.late / (4.0 * declared.damping)
     if declared.by_hand_force:
         sign = -1.0 if bound.out < 0.0 else 1.0
-        up, down = reach_of_late(declared, bound, sign, displacement, torque, lasted)
+        up, down = reach_by_older_torques(declared, bound, sign, displacement, torque, lasted)
         further = rest * max(up, down)
         if lasted == 1.0:
             up, down = between_ends(declared, bound, sign, displacement, torque, (up, down))
@@ -314,7 +314,7 @@ def doubt_of_late(
     return less
 
 
-def reach_of_late(
+def reach_by_older_torques(
     declared: Declared, bound: TorqueBound, sign: float, displacement: float, torque: float, lasted: float
 ) -> tuple[float, float]:
     """Return how far the axis can have moved under older torques in a hold, along `sign` and against it [m or rad].
@@ -331,7 +331,7 @@ def reach_of_late(
         torque: Torque held in it [N or N*m].
         lasted: Length of the hold [sample times].
     """
-    response, count, hand = declared.response, declared.encoder_count, hand_along(declared, bound, sign)
+    response, count, hand = declared.response, declared.encoder_count, displacement_by_hand(declared, bound, sign)
     if hand == inf:  # no run begins so
         hand = response.hand
     acting = max(0.0, sign * torque, bound.highest if sign > 0.0 else -bound.lowest)
@@ -349,14 +349,14 @@ def between_ends(
     declared: Declared, bound: TorqueBound, sign: float, displacement: float, torque: float,
     reached: tuple[float, float],
 ) -> tuple[float, float]:  # fmt: skip
-    """Return the same as `reach_of_late` for the torque before alone, by both ends of its lateness [m or rad].
+    """Return the same as `reach_by_older_torques` for the torque before alone, by both ends of its lateness [m or rad].
 
-    Each is less than 0 where the axis has moved the other way for certain. `reached` is the result of `reach_of_late`;
-    the other arguments are the same.
+    Each is less than 0 where the axis has moved the other way for certain. `reached` is the result of
+    `reach_by_older_torques`; the other arguments are the same.
     """
     response, (up, down) = declared.response, reached
     longest, late, moved, count = declared.sample_time, declared.late, sign * displacement, declared.encoder_count
-    pull, push = hand_along(declared, bound, sign), hand_along(declared, bound, -sign)
+    pull, push = displacement_by_hand(declared, bound, sign), displacement_by_hand(declared, bound, -sign)
     high, low = max(torque, bound.highest), min(torque, bound.lowest)
     along, against = (high, -low) if sign > 0.0 else (-low, high)
     if pull < inf:
@@ -480,7 +480,7 @@ def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: f
         return sign * bound.displacement + declared.encoder_count + bound.position_uncertainty
     known = bound.upward if sign > 0.0 else bound.downward
     if isnan(known):
-        known = outward_by_windows(declared, bound, memory, sign)
+        known = displacement_by_windows(declared, bound, memory, sign)
         if sign > 0.0:
             bound.upward = known
         else:
@@ -488,12 +488,12 @@ def outward(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: f
     return known
 
 
-def outward_by_windows(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
+def displacement_by_windows(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float) -> float:
     """Return the smallest bound on the last displacement by means over 1, 2, ... holds [m or rad]; see `outward`."""
     response, count = declared.response, declared.encoder_count
     lost, enough, more = 1.0 - response.retained, 2.0 * count, response.growth - 1.0
     torques = memory.against if declared.late > 0.0 and sign < 0.0 else memory.torques
-    hand, acting = hand_along(declared, bound, sign), acted(declared, bound, sign)
+    hand, acting = displacement_by_hand(declared, bound, sign), acted(declared, bound, sign)
     later = acting if acting > 0.0 else 0.0
     total = least = sign * bound.displacement + count
     raised = raises = 0.0
@@ -539,7 +539,7 @@ def taken(declared: Declared, torque: float, reach: float) -> float:
     return reach * (net - damped * reach)
 
 
-def taken_along(
+def taken_by_queue(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, speed: float
 ) -> tuple[float, float]:
     """Return what the queued torques along `sign` can take from the budget [J], and the next displacement (base).
@@ -549,7 +549,7 @@ def taken_along(
     `speed` is the largest speed of the hand [m/s or rad/s]; 0: not used.
     """
     response, torques, first = declared.response, memory.under_way, bound.first
-    hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
+    hand = displacement_by_hand(declared, bound, sign) if declared.by_hand_force else inf
     fastest = speed * declared.sample_time if speed > 0.0 else inf
     displacement, before = inf, sign * bound.torque
     if hand < inf:
@@ -570,7 +570,7 @@ def taken_along(
     return total, displacement
 
 
-def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
+def free_of_even_holds(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
     """Return `energy` plus the device's dissipation, less what the queued torques can take from it, >= 0 [J]."""
     free = energy + bound.dissipated
     if declared.delay:
@@ -579,13 +579,13 @@ def free_in_sum(declared: Declared, bound: TorqueBound, memory: BoundMemory, ene
             pushes = pushes or memory.under_way[place] > 0.0
             pulls = pulls or memory.under_way[place] < 0.0
         if pushes:  # else they take nothing that way
-            free -= max(0.0, taken_along(declared, bound, memory, 1.0, declared.hand_speed)[0])
+            free -= max(0.0, taken_by_queue(declared, bound, memory, 1.0, declared.hand_speed)[0])
         if pulls:
-            free -= max(0.0, taken_along(declared, bound, memory, -1.0, declared.hand_speed)[0])
+            free -= max(0.0, taken_by_queue(declared, bound, memory, -1.0, declared.hand_speed)[0])
     return free if free > 0.0 else 0.0
 
 
-def largest_in_sum(
+def largest_of_even_holds(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
     """Return the largest torques along `sign` by all certificates, by those for any hand, and by all but hand speed.
@@ -602,46 +602,46 @@ def largest_in_sum(
     by_any = 0.0  # largest energy that the queued torques take, for an arbitrary hand
     for place in range(bound.first, bound.first + declared.delay):
         by_any += taken(declared, abs(memory.under_way[place]), inf)
-    for_all = for_any_hand(declared, energy + for_any(bound) - by_any)
+    for_all = torque_for_any_hand(declared, energy + certain_dissipation(bound) - by_any)
     energy += bound.dissipated
     by_force = for_all
     damped, friction, gain = declared.damping / declared.sample_time, declared.friction, declared.response.during
     if declared.by_hand_force:
-        budget, base = left_under_way(declared, bound, memory, sign, energy, 0.0)
-        any_hand = for_any_hand(declared, budget)
-        by_force = max(for_all, any_hand, by_reach(damped, friction, gain, budget, base, any_hand))
+        budget, base = budget_after_queue(declared, bound, memory, sign, energy, 0.0)
+        any_hand = torque_for_any_hand(declared, budget)
+        by_force = max(for_all, any_hand, torque_by_reach(damped, friction, gain, budget, base, any_hand))
     if declared.hand_speed == 0.0:
         return by_force, for_all, by_force
-    budget, base = left_under_way(declared, bound, memory, sign, energy, declared.hand_speed)
-    any_hand = for_any_hand(declared, budget)
-    largest = max(by_force, any_hand, by_reach(damped, friction, gain, budget, base, any_hand))
+    budget, base = budget_after_queue(declared, bound, memory, sign, energy, declared.hand_speed)
+    any_hand = torque_for_any_hand(declared, budget)
+    largest = max(by_force, any_hand, torque_by_reach(damped, friction, gain, budget, base, any_hand))
     if budget > 0.0:
         fastest = declared.hand_speed * declared.sample_time
-        largest = max(largest, by_fastest(damped, friction, budget, fastest, any_hand))
+        largest = max(largest, torque_by_hand_speed(damped, friction, budget, fastest, any_hand))
     return largest, for_all, by_force
 
 
-def left_under_way(
+def budget_after_queue(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float
 ) -> tuple[float, float]:
-    """Return the budget that the queued torques leave [J], and the next displacement (base of `taken_along`)."""
-    given, base = taken_along(declared, bound, memory, sign, speed)
+    """Return the budget that the queued torques leave [J], and the next displacement (base of `taken_by_queue`)."""
+    given, base = taken_by_queue(declared, bound, memory, sign, speed)
     energy -= given
     for place in range(bound.first, bound.first + declared.delay):
         if sign * memory.under_way[place] < 0.0:
-            energy -= max(0.0, taken_along(declared, bound, memory, -sign, speed)[0])
+            energy -= max(0.0, taken_by_queue(declared, bound, memory, -sign, speed)[0])
             break
     return energy, base
 
 
-def for_any_hand(declared: Declared, budget: float) -> float:
+def torque_for_any_hand(declared: Declared, budget: float) -> float:
     """Return the largest torque that a budget [J] and the device's dissipation permit for any hand [N or N*m]."""
     if budget <= 0.0:
         return declared.friction
     return declared.friction + sqrt(4.0 * declared.damping / declared.sample_time * budget)
 
 
-def by_reach(damped: float, friction: float, gain: float, budget: float, base: float, for_all: float) -> float:
+def torque_by_reach(damped: float, friction: float, gain: float, budget: float, base: float, for_all: float) -> float:
     """Return the largest torque that the reach of the hand's force permits [N or N*m]; 0 if `base` is infinite.
 
     For torques l W of a group, `damped`, `gain` and `base` are in [J], and the result is the share l.
@@ -667,10 +667,10 @@ def by_reach(damped: float, friction: float, gain: float, budget: float, base: f
     return largest
 
 
-def by_fastest(damped: float, friction: float, budget: float, fastest: float, for_all: float) -> float:
+def torque_by_hand_speed(damped: float, friction: float, budget: float, fastest: float, for_all: float) -> float:
     """Return the largest torque for a hand that moves no farther than `fastest` [m or rad] in a hold [N or N*m].
 
-    The other arguments are those of `by_reach`.
+    The other arguments are those of `torque_by_reach`.
     """
     largest = friction + budget / fastest + damped * fastest
     return for_all if 2.0 * damped * fastest > largest - friction else largest
@@ -685,7 +685,7 @@ class LateMotion(NamedTuple):
     lowest: float  # at least, >= 0; 0 where one acts against
 
 
-def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
+def torque_by_late_reach(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
     """Return by how much the next torque may exceed `friction` if torques act late [N or N*m]: n of bound A or B.
 
     Bound A is used if `friction` is 0, else bound B.
@@ -698,12 +698,12 @@ def by_reach_of_late(declared: Declared, hand: float, motion: LateMotion, fricti
         energy: Energy budget [J].
     """
     if declared.losses:
-        return if_held_on(declared, hand, motion, friction, energy)
-    largest = above_older(declared, hand, motion, friction, energy)
+        return torque_if_repeated(declared, hand, motion, friction, energy)
+    largest = torque_above_older(declared, hand, motion, friction, energy)
     older = motion.highest - friction
     if largest < older:
-        largest = min(older, below_older(declared, hand, motion, friction, energy))
-    return min(largest, takes_in(declared, hand, motion, friction, energy)) if energy < 0.0 else largest
+        largest = min(older, torque_below_older(declared, hand, motion, friction, energy))
+    return min(largest, absorbing_torque(declared, hand, motion, friction, energy)) if energy < 0.0 else largest
 
 
 def own_share(
@@ -722,8 +722,8 @@ def own_share(
     return start, gain, base, late
 
 
-def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the n of `by_reach_of_late` for a budget below zero: the torque by itself must absorb energy [N or N*m].
+def absorbing_torque(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
+    """Return the n of `torque_by_late_reach` for a budget below zero: the torque itself must absorb energy [N or N*m].
 
     Older torques push the axis while it acts, with a share of `late` in its hold and `left` after it. For n below
     -start / gain the axis moves inward in the hold, so that this motion adds nothing to the tail.
@@ -735,8 +735,8 @@ def takes_in(declared: Declared, hand: float, motion: LateMotion, friction: floa
     return hand_force_bound(energy, start, gain)
 
 
-def above_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the n of `by_reach_of_late` if the next torque is not below the older ones; same arguments."""
+def torque_above_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
+    """Return the n of `torque_by_late_reach` if the next torque is not below the older ones; same arguments."""
     start, gain, base, late = own_share(declared, hand, motion, friction)
     energy += max(0.0, motion.lowest - friction) * late
     share = declared.response.share
@@ -744,12 +744,12 @@ def above_older(declared: Declared, hand: float, motion: LateMotion, friction: f
     return min(largest, hand_force_bound(energy, start, gain))
 
 
-def below_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the n of `by_reach_of_late` if the next torque is below the older ones; same arguments.
+def torque_below_older(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
+    """Return the n of `torque_by_late_reach` if the next torque is below the older ones; same arguments.
 
     With g the largest older part above f_c, it takes n D + (g - n) X_0 + (n - l) x and the tail G X, where
     D = base + during (late g + (1 - late) F), G = c g + (1 - c) n, and (n - l) x is at most n x (g - l) / g.
-    All terms are convex in n and equal those of `above_older` at n = g.
+    All terms are convex in n and equal those of `torque_above_older` at n = g.
     """
     response, left = declared.response, declared.left
     displacement, before, highest, lowest = motion
@@ -773,8 +773,8 @@ def below_older(declared: Declared, hand: float, motion: LateMotion, friction: f
     return largest
 
 
-def if_held_on(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
-    """Return the n of `by_reach_of_late` if lost frames may let the torque act in several holds; same arguments.
+def torque_if_repeated(declared: Declared, hand: float, motion: LateMotion, friction: float, energy: float) -> float:
+    """Return the n of `torque_by_late_reach` if lost frames may let the torque act in several holds; same arguments.
 
     With D_i the displacements in them, g the older torques above f_c and X as in `scalar_bounds`, it takes n sum(D_i) +
     g X_1 + c g sum(X_i) + n x and its tail (n + c g) X; each X_i after the first is at most that of the sum of all
@@ -873,8 +873,8 @@ def taken_in_hold(
     older = motion.highest - friction if motion.highest > friction else 0.0
     if hand < inf:
         reach = tail_reach(motion.displacement, motion.counted, max(most, motion.highest), declared.response, hand)
-        taken = along_reach(declared, motion, 0.0, most, least, following, reach)
-        taken = min(taken, along_reach(declared, motion, friction, most, least, following, reach))
+        taken = taken_by_reach(declared, motion, 0.0, most, least, following, reach)
+        taken = min(taken, taken_by_reach(declared, motion, friction, most, least, following, reach))
     if net == 0.0 and older == 0.0:
         taken = min(taken, 0.0)
     elif declared.damping > 0.0:
@@ -887,7 +887,7 @@ def taken_in_hold(
     return taken
 
 
-def along_reach(
+def taken_by_reach(
     declared: Declared, motion: LateMotion, friction: float, most: float, least: float, following: float, reach: float
 ) -> float:
     """Return the most that a hold's torques can take from the budget [J]: bound A, or B if friction is not 0."""
@@ -901,7 +901,7 @@ def along_reach(
     return taken
 
 
-def tail_of(declared: Declared, hand: float, speed: float, motion: LateMotion) -> float:
+def taken_by_tail(declared: Declared, hand: float, speed: float, motion: LateMotion) -> float:
     """Return the most that late torques, which still act after the last hold, can take from the budget [J]."""
     net = motion.highest - declared.friction
     if declared.late == 0.0 or net <= 0.0:
@@ -914,7 +914,7 @@ def tail_of(declared: Declared, hand: float, speed: float, motion: LateMotion) -
     return min(taken, speed * declared.late * net) if speed > 0.0 else taken
 
 
-def may_act(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
+def largest_acting(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, hold: int) -> float:
     """Return the largest torque along `sign` that may act in a future hold [N or N*m], >= 0; hold 1 is the next.
 
     If frames are lost, a torque acts longer: by at most as many holds as losses are declared.
@@ -951,24 +951,26 @@ def taken_under_way(
         holds: Number of holds in which they act.
         which: Torques assumed in all holds: `_ANY`: all that may act; `_SENT`: next queued; `_HELD_ON`: last held.
     """
-    hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
+    hand = displacement_by_hand(declared, bound, sign) if declared.by_hand_force else inf
     highest, lowest = (bound.highest, bound.lowest) if sign > 0.0 else (-bound.lowest, -bound.highest)
     displacement, counted = outward(declared, bound, memory, sign) if hand < inf else inf, acted(declared, bound, sign)
     motion = new(LateMotion, (displacement, max(0.0, counted), max(0.0, highest), max(0.0, lowest)))
     total = worst = 0.0
     for hold in range(1, holds + 1):
         if which == _ANY:
-            most = may_act(declared, bound, memory, sign, hold)
+            most = largest_acting(declared, bound, memory, sign, hold)
             least = most if declared.losses == 0 else smallest_acting(declared, bound, memory, sign, hold)
         else:
             most = least = max(0.0, sign * (memory.under_way[bound.first] if which == _SENT else bound.torque))
         motion, taken = pass_hold(declared, hand, speed, motion, most, least)
         total += taken
         worst = max(worst, total)
-    return total, max(worst, total + tail_of(declared, hand, speed, motion)), motion
+    return total, max(worst, total + taken_by_tail(declared, hand, speed, motion)), motion
 
 
-def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float, holds: int) -> float:
+def budget_for_any_hand(
+    declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float, holds: int
+) -> float:
     """Return the budget `energy` less what the queued torques can give to an arbitrary hand [J].
 
     The integral of (u - f_c)+^2 is at most the sum of n_k^2 (T + theta), because u is a mean of the torques.
@@ -976,7 +978,9 @@ def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, 
     older = max(bound.highest, -bound.lowest) - declared.friction
     squares = declared.late * older * older if older > 0.0 else 0.0
     for hold in range(1, holds + 1):
-        most = max(may_act(declared, bound, memory, 1.0, hold), may_act(declared, bound, memory, -1.0, hold))
+        most = max(
+            largest_acting(declared, bound, memory, 1.0, hold), largest_acting(declared, bound, memory, -1.0, hold)
+        )
         if most > declared.friction:
             beyond = most - declared.friction
             squares += (declared.sample_time + declared.late) * (beyond * beyond)
@@ -985,8 +989,8 @@ def for_every_hand(declared: Declared, bound: TorqueBound, memory: BoundMemory, 
     return energy - squares / (4.0 * declared.damping) if declared.damping > 0.0 else -inf
 
 
-def free_of_late(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
-    """Return the energy of `free_in_sum` [J] if torques come late or frames may be lost."""
+def free_of_late_torques(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
+    """Return the energy of `free_of_even_holds` [J] if torques come late or frames may be lost."""
     holds, known = declared.delay + declared.losses, energy + bound.dissipated
     free = 0.0
     if declared.by_hand_force or declared.hand_speed > 0.0:
@@ -994,30 +998,30 @@ def free_of_late(declared: Declared, bound: TorqueBound, memory: BoundMemory, en
         known -= taken_under_way(declared, bound, memory, -1.0, declared.hand_speed, holds, _ANY)[1]
         free = max(free, known)
     if declared.damping > 0.0 or declared.friction > 0.0:
-        free = max(free, for_every_hand(declared, bound, memory, energy + for_any(bound), holds))
+        free = max(free, budget_for_any_hand(declared, bound, memory, energy + certain_dissipation(bound), holds))
     return free
 
 
-def largest_of_late(
+def largest_of_late_torques(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float
 ) -> tuple[float, float, float]:
-    """Return the torques of `largest_in_sum` [N or N*m] if torques come late or frames may be lost."""
+    """Return the torques of `largest_of_even_holds` [N or N*m] if torques come late or frames may be lost."""
     longest = (declared.sample_time + declared.late) * (declared.losses + 1)
     for_all = declared.friction
-    left = for_every_hand(declared, bound, memory, energy + for_any(bound), declared.delay)
+    left = budget_for_any_hand(declared, bound, memory, energy + certain_dissipation(bound), declared.delay)
     if left > 0.0:
         for_all += sqrt(4.0 * declared.damping * left / longest)
     known = energy + bound.dissipated
     by_force = for_all
     if declared.by_hand_force:
-        by_force = max(for_all, largest_of_known(declared, bound, memory, sign, known, 0.0))
+        by_force = max(for_all, torque_by_bounded_hand(declared, bound, memory, sign, known, 0.0))
     if declared.hand_speed == 0.0:
         return by_force, for_all, by_force
-    largest = largest_of_known(declared, bound, memory, sign, known, declared.hand_speed)
+    largest = torque_by_bounded_hand(declared, bound, memory, sign, known, declared.hand_speed)
     return max(by_force, largest), for_all, by_force
 
 
-def largest_of_known(
+def torque_by_bounded_hand(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float
 ) -> float:
     """Return the largest certified torque along `sign` for a hand of bounded force, speed, or both [N or N*m].
@@ -1034,26 +1038,26 @@ def largest_of_known(
     holds = delay + losses + 1 if losses and declared.late > 0.0 else delay
     energy -= taken_under_way(declared, bound, memory, -sign, speed, holds, _ANY)[1]
     if losses == 0 or delay != 1:
-        return largest_after(declared, bound, memory, sign, energy, speed, _ANY)
-    sent = largest_after(declared, bound, memory, sign, energy, speed, _SENT)
-    return min(sent, largest_after(declared, bound, memory, sign, energy, speed, _HELD_ON))
+        return torque_after_queue(declared, bound, memory, sign, energy, speed, _ANY)
+    sent = torque_after_queue(declared, bound, memory, sign, energy, speed, _SENT)
+    return min(sent, torque_after_queue(declared, bound, memory, sign, energy, speed, _HELD_ON))
 
 
-def largest_after(
+def torque_after_queue(
     declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float, speed: float, which: int
 ) -> float:
-    """Return the largest torque of `largest_of_known` if the queued torques named by `which` act before it [N or N*m].
+    """Return the largest torque of `torque_by_bounded_hand` if the queue named by `which` acts before it [N or N*m].
 
     `energy` is the budget less what torques in the other direction can take from it [J].
     """
     given, _, motion = taken_under_way(declared, bound, memory, sign, speed, declared.delay, which)
     budget, friction, losses = energy - given, declared.friction, declared.losses
-    hand = hand_along(declared, bound, sign) if declared.by_hand_force else inf
+    hand = displacement_by_hand(declared, bound, sign) if declared.by_hand_force else inf
     largest = friction
     if hand < inf:
-        largest = max(largest, by_reach_of_late(declared, hand, motion, 0.0, budget))
+        largest = max(largest, torque_by_late_reach(declared, hand, motion, 0.0, budget))
         if friction > 0.0:
-            largest = max(largest, friction + by_reach_of_late(declared, hand, motion, friction, budget))
+            largest = max(largest, friction + torque_by_late_reach(declared, hand, motion, friction, budget))
     older = max(0.0, motion.highest - friction)
     longest = (declared.sample_time + declared.late) * (losses + 1)
     squares = 4.0 * declared.damping * budget - declared.late * older * older
@@ -1067,8 +1071,8 @@ def largest_after(
 def free_energy(declared: Declared, bound: TorqueBound, memory: BoundMemory, energy: float) -> float:
     """Return the budget not reserved for queued torques [J]; `energy` leaves out the device's dissipation."""
     if declared.losses == 0 and declared.late == 0.0:
-        return free_in_sum(declared, bound, memory, energy)
-    return free_of_late(declared, bound, memory, energy)
+        return free_of_even_holds(declared, bound, memory, energy)
+    return free_of_late_torques(declared, bound, memory, energy)
 
 
 def largest_torques(
@@ -1079,19 +1083,19 @@ def largest_torques(
     All three are in [N or N*m]. `energy` is the budget without the device's dissipation [J].
     """
     if declared.losses or declared.late > 0.0:
-        return largest_of_late(declared, bound, memory, sign, energy)
+        return largest_of_late_torques(declared, bound, memory, sign, energy)
     if declared.by_hand_force_alone:
         force = by_hand_force(declared, bound, memory, sign, energy)
         return force, 0.0, force
-    return largest_in_sum(declared, bound, memory, sign, energy)
+    return largest_of_even_holds(declared, bound, memory, sign, energy)
 
 
 def by_hand_force(declared: Declared, bound: TorqueBound, memory: BoundMemory, sign: float, energy: float) -> float:
     """Return the largest certified torque along `sign` for a hand that keeps its declared force [N or N*m].
 
-    If no other property is declared, `largest_in_sum` gives the same torque. `energy` is the budget [J].
+    If no other property is declared, `largest_of_even_holds` gives the same torque. `energy` is the budget [J].
     """
-    response, before, hand = declared.response, sign * bound.torque, hand_along(declared, bound, sign)
+    response, before, hand = declared.response, sign * bound.torque, displacement_by_hand(declared, bound, sign)
     if hand == inf:  # the hand is unknown along it
         return 0.0
     if declared.encoder_count > 0.0:
@@ -1109,6 +1113,6 @@ def by_hand_force(declared: Declared, bound: TorqueBound, memory: BoundMemory, s
                 opposed = True
             before = along
         if opposed:
-            energy -= max(0.0, taken_along(declared, bound, memory, -sign, 0.0)[0])
+            energy -= max(0.0, taken_by_queue(declared, bound, memory, -sign, 0.0)[0])
     base = next_displacement(displacement, before, 0.0, response, hand)
     return hand_force_bound(energy, base, response.during)

@@ -6,9 +6,9 @@ is the share l, and the certificates of one axis add up as they do there (A4, A5
 
 from math import sqrt
 
-from canhaptic.control.certificates.certified_torque import by_fastest, by_reach
+from canhaptic.control.certificates.certified_torque import torque_by_hand_speed, torque_by_reach
 from canhaptic.control.multi_axis.group_account import Accounting, extraction_of, free_energy, shares, worst_case
-from canhaptic.control.multi_axis.group_certificates import AxisLimits, damping_need, gain_of, path_need
+from canhaptic.control.multi_axis.group_certificates import AxisLimits, damping_need, path_need, work_gain
 from canhaptic.control.port_hamiltonian.network import dot
 from canhaptic.kernels import Buffer
 
@@ -85,10 +85,10 @@ def share_in_sum(at: Accounting, torques: Buffer, energy: float, path: float) ->
         if left < 0.0:
             return 0.0
         budget -= taken if dot(acting, torques) >= 0.0 else max(0.0, taken)
-    base, gain = worst_case(at, torques, under_way.holds), gain_of(axes, torques)
+    base, gain = worst_case(at, torques, under_way.holds), work_gain(axes, torques)
     damped = 0.25 / needed
     any_hand = sqrt(4.0 * damped * budget) if budget > 0.0 else 0.0
-    share = max(any_hand, by_reach(damped, 0.0, gain, budget, base, any_hand))
+    share = max(any_hand, torque_by_reach(damped, 0.0, gain, budget, base, any_hand))
     if path > 0.0 and budget > 0.0:
-        share = max(share, by_fastest(damped, 0.0, budget, path, any_hand))
+        share = max(share, torque_by_hand_speed(damped, 0.0, budget, path, any_hand))
     return share

@@ -14,18 +14,18 @@ from canhaptic.control.multi_axis import group_certificates
 from canhaptic.control.multi_axis.group_certificates import (
     Acting,
     AxisLimits,
-    along_last,
-    base_of,
     damping_need,
-    gain_of,
     needed_by_hand,
     pass_range,
     path_need,
     response_to_late,
-    share_by_hand,
+    share_per_axis,
     take_sent,
     taken_at_most,
     taken_by_mover,
+    work_base,
+    work_gain,
+    work_of_last_hold,
     write_needs,
 )
 from canhaptic.control.multi_axis.group_kernel import GroupHolds
@@ -539,18 +539,18 @@ def quotient(budget: float, need: float) -> float:
 
 
 def worst_case(at: Accounting, torques: Buffer, count: int) -> float:
-    """Return the bound `base_of` for torques that act after the first `count` queued commands [J]."""
+    """Return the bound `work_base` for torques that act after the first `count` queued commands [J]."""
     axes, memory, sent, first = at.settings.axes, at.memory, at.under_way.torques, at.under_way.first
-    along = along_last(axes, torques, memory.displacement, memory.position_uncertainty)
+    along = work_of_last_hold(axes, torques, memory.displacement, memory.position_uncertainty)
     if axes.timing.is_uneven:
         copy_range(axes, memory, False)
-    return base_of(axes, torques, memory.displacement, along, memory.torques, sent, first, count, memory.now)
+    return work_base(axes, torques, memory.displacement, along, memory.torques, sent, first, count, memory.now)
 
 
 def extraction_of(at: Accounting, hold: int) -> float:
     """Return the most energy that the torques of one queued command may give out during its hold [J]."""
     axes, memory, torques = at.settings.axes, at.memory, at.under_way.torques[at.under_way.first + hold]
-    taken = worst_case(at, torques, hold) + gain_of(axes, torques)
+    taken = worst_case(at, torques, hold) + work_gain(axes, torques)
     if axes.timing.is_uneven:
         taken += response_to_late(axes, torques, memory.now.highest, memory.now.lowest, torques, axes.during)
     return taken + taken_by_mover(torques, memory.mover_motion[hold]) if at.settings.moves else taken
@@ -581,7 +581,7 @@ def free_energy(at: Accounting, energy: float) -> float:
     settings, account, memory, under_way = at
     axes = settings.axes
     if settings.apart.is_apart:
-        free = free_if_apart(at, energy)
+        free = free_energy_per_axis(at, energy)
         return max(free, energy - needed_under_way(at)) if has_two_bounds(at) else free
     free, moved = 0.0, moved_at_most(at)
     if axes.by_hand:
@@ -621,7 +621,7 @@ def shares(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float
     settings, account, memory, under_way = at
     axes = settings.axes
     if settings.apart.is_apart:
-        by_force, by_damping, by_speed = shares_if_apart(at, torques, energy)
+        by_force, by_damping, by_speed = shares_per_axis(at, torques, energy)
         if by_force < 1.0 and has_two_bounds(at) and energy >= needed_under_way(at):
             by_force = max(by_force, by_hand_force(at, torques, energy, 0.0))
         return by_force, by_damping, by_speed
@@ -656,7 +656,7 @@ def by_hand_force(at: Accounting, torques: Buffer, energy: float, moved: float) 
         extraction = extraction_of(at, hold)
         along = dot(under_way.torques[under_way.first + hold], torques)
         energy -= extraction if along >= 0.0 else max(0.0, extraction)
-    base, gain = worst_case(at, torques, under_way.holds) + moved, gain_of(axes, torques)
+    base, gain = worst_case(at, torques, under_way.holds) + moved, work_gain(axes, torques)
     if not axes.timing.is_uneven:
         return hand_force_bound(energy, base, gain)
     late = share_of_late(axes, memory, under_way, torques, 1.0)
@@ -708,7 +708,7 @@ def take_all_sent(at: Accounting) -> None:
     )  # fmt: skip
 
 
-def free_if_apart(at: Accounting, energy: float) -> float:
+def free_energy_per_axis(at: Accounting, energy: float) -> float:
     """Return the result of `free_energy` by the per-axis certificates."""
     settings, account, memory, _ = at
     axes, limits, apart, free = settings.axes, settings.apart, memory.apart, 0.0
@@ -726,7 +726,7 @@ def free_if_apart(at: Accounting, energy: float) -> float:
     return free
 
 
-def shares_if_apart(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float, float]:
+def shares_per_axis(at: Accounting, torques: Buffer, energy: float) -> tuple[float, float, float]:
     """Return the result of `shares` by the per-axis certificates; the share by hand force is at most 1."""
     settings, account, memory, _ = at
     axes, limits, apart = settings.axes, settings.apart, memory.apart
@@ -736,7 +736,7 @@ def shares_if_apart(at: Accounting, torques: Buffer, energy: float) -> tuple[flo
     if settings.moves:
         moved, more = taken_at_most(limits, apart, memory.mover_motion, torques)
     if axes.by_hand:
-        by_force = share_by_hand(axes, limits, apart, memory.mover_motion, torques, energy)
+        by_force = share_per_axis(axes, limits, apart, memory.mover_motion, torques, energy)
     if axes.by_damping:
         write_needs(limits, apart, torques, squared=True)
         budget = energy + account.dissipated - moved - more

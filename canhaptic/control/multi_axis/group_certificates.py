@@ -183,7 +183,7 @@ def _hand_term(axes: AxisLimits, torques: Buffer) -> float:
     return axes.hand * math.sqrt(total)
 
 
-def along_last(axes: AxisLimits, torques: Buffer, displacement: Buffer, position_uncertainty: Buffer) -> float:
+def work_of_last_hold(axes: AxisLimits, torques: Buffer, displacement: Buffer, position_uncertainty: Buffer) -> float:
     """Return the largest work W . D_0, with D_0 known up to encoder counts and `position_uncertainty` [J]."""
     total = 0.0
     for i in range(len(axes.counts)):
@@ -209,7 +209,7 @@ class Acting(NamedTuple):
     lowest: Buffer  # at least
 
 
-def base_of(
+def work_base(
     axes: AxisLimits, torques: Buffer, displacement: Buffer, bound: float, last: Buffer, sent: Matrix, first: int,
     under_way: int, range_of: Acting,
 ) -> float:  # fmt: skip
@@ -271,7 +271,7 @@ def taken_by_mover(torques: Buffer, moved: Buffer) -> float:
     return total
 
 
-def gain_of(axes: AxisLimits, torques: Buffer) -> float:
+def work_gain(axes: AxisLimits, torques: Buffer) -> float:
     """Return `gain` of l W . D <= l base + l^2 gain: how much the torques W raise their own work W . D [J]."""
     total = 0.0
     for i in range(len(axes.during)):
@@ -475,7 +475,7 @@ def write_largest(limits: PerAxisLimits, memory: PerAxisMemory) -> None:
     for index in range(limits.holds):
         for i in range(len(memory.largest)):
             up = down = 0.0
-            for place in range(first_of(limits, index + 1), end_of(limits, index + 1)):
+            for place in range(first_acting(limits, index + 1), end_acting(limits, index + 1)):
                 up, down = max(up, memory.sent[place][i]), max(down, -memory.sent[place][i])
             memory.along[index][i], memory.against[index][i] = up, down
 
@@ -491,12 +491,12 @@ def take_older(axes: AxisLimits, memory: PerAxisMemory, older: Acting, axis: int
         memory.lost[axis][side] *= axes.timing.swing[axis] / growth
 
 
-def first_of(limits: PerAxisLimits, hold: int) -> int:
+def first_acting(limits: PerAxisLimits, hold: int) -> int:
     """Return the row of `sent` with the oldest torques that may act in a hold, the next hold being 1."""
     return max(0, hold - limits.losses)
 
 
-def end_of(limits: PerAxisLimits, hold: int) -> int:
+def end_acting(limits: PerAxisLimits, hold: int) -> int:
     """Return the end index in `sent` of the torques that may act in hold number `hold`; 1 is the next hold."""
     return min(hold, limits.delay) + 1
 
@@ -541,7 +541,7 @@ def write_options(
         along, against = along * kept if along < 0.0 else along, against * kept if against < 0.0 else against
         mine, reach, moved = index - limits.delay, (index + 1) * (root * norm), mover_motion[index][axis]
         slope = root * more * (mine + limits.first) if mine >= 0 else 0.0
-        for option in range(first_of(limits, index + 1), end_of(limits, index + 1)):
+        for option in range(first_acting(limits, index + 1), end_acting(limits, index + 1)):
             held = memory.sent[option][axis]
             base = reach + (along - moved if held > 0.0 else against + moved)
             held = abs(held)
@@ -583,7 +583,7 @@ def write_courses(
     return place
 
 
-def worst_of(memory: PerAxisMemory, first: int, end: int, share: float, least: float) -> tuple[int, float]:
+def largest_parabola(memory: PerAxisMemory, first: int, end: int, share: float, least: float) -> tuple[int, float]:
     """Return the index and the value [J] of the parabola that is largest at a share.
 
     If none exceeds `least`, return `least` and the index of the last parabola, which is always 0.
@@ -596,7 +596,7 @@ def worst_of(memory: PerAxisMemory, first: int, end: int, share: float, least: f
     return active, largest
 
 
-def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) -> tuple[float, float, float]:
+def energy_parabola(limits: PerAxisLimits, memory: PerAxisMemory, share: float) -> tuple[float, float, float]:
     """Return A, B, C of the parabola that equals, at this share, the most energy that all axes may give out [J]."""
     least = 0.0 if limits.is_late else -inf
     fixed = linear = square = 0.0
@@ -605,7 +605,7 @@ def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) ->
         value = a = b = c = 0.0
         most = worst_a = worst_b = worst_c = 0.0
         for index in range(limits.holds):
-            active, largest = worst_of(memory, place, memory.ends[cell], share, least)
+            active, largest = largest_parabola(memory, place, memory.ends[cell], share, least)
             value += largest
             a, b, c = a + memory.constant[active], b + memory.linear[active], c + memory.square[active]
             if index <= limits.delay or value > most:
@@ -613,7 +613,7 @@ def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) ->
             place, cell = memory.ends[cell], cell + 1
         fixed, linear, square = fixed + worst_a, linear + worst_b, square + worst_c
     while cell < len(memory.ends):
-        active, _ = worst_of(memory, place, memory.ends[cell], share, 0.0)
+        active, _ = largest_parabola(memory, place, memory.ends[cell], share, 0.0)
         fixed, linear = fixed + memory.constant[active], linear + memory.linear[active]
         square += memory.square[active]
         place, cell = memory.ends[cell], cell + 1
@@ -623,14 +623,14 @@ def given_at_most(limits: PerAxisLimits, memory: PerAxisMemory, share: float) ->
 def needed_by_hand(axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix) -> float:
     """Return the most energy that the queued torques may give out to a hand within its declared force [J]."""
     write_cells(axes, limits, memory, mover_motion, memory.nothing, memory.nothing)
-    return given_at_most(limits, memory, 0.0)[0]
+    return energy_parabola(limits, memory, 0.0)[0]
 
 
 def largest_share(limits: PerAxisLimits, memory: PerAxisMemory, budget: float) -> float:
     """Return the largest share l <= 1 at which the bounds of `write_cells` sum to `budget` at most [J], 0 if none."""
     share = 1.0
     for _ in range(_PASSES):
-        fixed, linear, square = given_at_most(limits, memory, share)
+        fixed, linear, square = energy_parabola(limits, memory, share)
         size = abs(fixed) + share * (abs(linear) + share * square)
         if fixed + share * (linear + share * square) <= budget + _ROUNDING * size:
             return share
@@ -641,7 +641,7 @@ def largest_share(limits: PerAxisLimits, memory: PerAxisMemory, budget: float) -
     return 0.0
 
 
-def share_by_hand(
+def share_per_axis(
     axes: AxisLimits, limits: PerAxisLimits, memory: PerAxisMemory, mover_motion: Matrix, torques: Buffer, budget: float
 ) -> float:
     """Return the largest share l <= 1 of new torques that the hand-force certificate permits; 0 if there is none.
@@ -742,7 +742,7 @@ def taken_at_most(
     for index in range(limits.holds):
         for i in range(len(torques)):
             moved, held = mover_motion[index][i], 0.0
-            for place in range(first_of(limits, index + 1), end_of(limits, index + 1)):
+            for place in range(first_acting(limits, index + 1), end_acting(limits, index + 1)):
                 held = max(held, -memory.sent[place][i] * moved)
             old += held
             if index >= limits.delay:

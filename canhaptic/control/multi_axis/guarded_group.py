@@ -206,18 +206,8 @@ def step(
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0, 0))
     group.oldest = end_holds(commands, ended, settings.loop.largest, group.oldest, missed, positions, torques_applied)
     follow(world, settings.loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
-    for i in range(len(ended.displacement)):
-        if missed == 0:
-            observe(settings.prediction[i], memory.predicted[i], ended.displacement[i], ended.applied[i])
-        else:
-            observe_mean(memory.predicted[i], ended.displacement[i] / (missed + 1))
     supplied, uncertainty, further = end(world, run, missed)
-    h_i = h_pas = lost = 0.0
-    for i in range(len(ended.interactions)):
-        h_i += ended.interactions[i]
-        if missed == 0:  # of several holds the dampers' share of the motion is not known
-            h_pas += commands.modulated[group.oldest][i] * ended.displacement[i]
-            lost += commands.dampers[group.oldest][i] * ended.displacement[i]
+    h_i, h_pas, lost = taken_in(run, missed)
     h_i = h_i + supplied - uncertainty
     under_way = new(QueuedTorques, (commands.torques, group.oldest - settings.loop.delay, settings.loop.delay))
     at = Accounting(settings.account, state.account, memory.account, under_way)
@@ -233,6 +223,22 @@ def step(
         supplied,
     ))  # fmt: skip
     return new(GroupHold, (balance, uncertainty, further, motion.limit, group.oldest - 1))
+
+
+def taken_in(run: GuardedRun, missed: int) -> tuple[float, float, float]:
+    """Observe the motion of the holds that ended; return the energies of the motors, and of both dampers' parts [J]."""
+    settings, state, memory = run
+    ended, commands, oldest = memory.group.ended, memory.group.commands, state.group.oldest
+    h_i = h_pas = lost = 0.0
+    for i in range(len(ended.interactions)):
+        h_i += ended.interactions[i]
+        if missed == 0:
+            observe(settings.prediction[i], memory.predicted[i], ended.displacement[i], ended.applied[i])
+            h_pas += commands.modulated[oldest][i] * ended.displacement[i]
+            lost += commands.dampers[oldest][i] * ended.displacement[i]
+        else:  # the dampers' share of the motion is not known
+            observe_mean(memory.predicted[i], ended.displacement[i] / (missed + 1))
+    return h_i, h_pas, lost
 
 
 def begin(world: group_kernel.GroupModel, run: GuardedRun, positions: Buffer) -> None:

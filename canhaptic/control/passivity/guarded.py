@@ -54,9 +54,9 @@ from canhaptic.control.certificates.certified_torque import (
     Declared,
     TorqueBound,
     bound_memory,
+    certain_dissipation,
     end_gap,
     end_hold,
-    for_any,
     free_energy,
     keep,
     largest_torques,
@@ -744,7 +744,7 @@ def energy_permitted(
         enough = max(enough, 0.5 * (whole * whole) / settings.damped_stiffness)
     keep(bound, energy, ceiling + enough)
     covered = settings.calm_stiffness * (energy + bound.dissipated)
-    covered = 2.0 * max(covered, settings.damped_stiffness * (energy + for_any(bound)))
+    covered = 2.0 * max(covered, settings.damped_stiffness * (energy + certain_dissipation(bound)))
     held = settings.declared.friction + (sqrt(covered) if covered > 0.0 else 0.0)
     energy += max(0.0, bound.dissipated)
     if settings.path > 0.0 and energy > 0.0:

@@ -271,8 +271,9 @@ def residual_of_plant(plant: EventPlant, force: float) -> float:
 
 CALLS: Final = (
     stepper.run, splitting.fixed_point, residual_of_plant, certified_torque.doubt_of_late, certified_torque.end_gap,
-    certified_torque.free_of_late, certified_torque.largest_of_late, certified_torque.outward_by_windows,
-    certified_torque.taken_along, certified_torque.if_held_on, certified_torque.below_older,
+    certified_torque.free_of_late_torques, certified_torque.largest_of_late_torques,
+    certified_torque.displacement_by_windows, certified_torque.taken_by_queue, certified_torque.torque_if_repeated,
+    certified_torque.torque_below_older,
 )  # fmt: skip
 """Functions that are called, not inlined: long ones with several callers, and certificates that are rarely needed."""
 

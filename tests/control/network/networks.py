@@ -12,7 +12,7 @@ from canhaptic.control.multi_axis.group_certificates import (
     needed_by_hand,
     per_axis_limits,
     per_axis_memory,
-    share_by_hand,
+    share_per_axis,
     take_sent,
 )
 from canhaptic.control.passivity import LoopProperties
@@ -60,8 +60,8 @@ class AxesApart:
             self.axes, self.limits, self.memory, displacement, position_uncertainty, torques, under_way, 0, NO_OLDER
         )
 
-    def share_by_hand(self, torques, budget):
-        return share_by_hand(self.axes, self.limits, self.memory, self.mover_motion, torques, budget)
+    def share_per_axis(self, torques, budget):
+        return share_per_axis(self.axes, self.limits, self.memory, self.mover_motion, torques, budget)
 
     def needed_by_hand(self):
         return needed_by_hand(self.axes, self.limits, self.memory, self.mover_motion)

@@ -41,7 +41,7 @@ class Mass:
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize(("velocity", "mover"), [(-0.02, 0.0), (0.0, 0.0), (0.05, 0.0), (0.05, 0.02), (0.0, -0.3)])
 def test_a_torque_that_stays_for_all_losses_gives_out_the_whole_budget(losses, delay, velocity, mover):
-    """The share that `share_by_hand` admits is the largest: 0.9 of the bound would admit more than there is.
+    """The share that `share_per_axis` admits is the largest: 0.9 of the bound would admit more than there is.
 
     What a mover takes counts with what the motor gives out.
     """
@@ -50,7 +50,7 @@ def test_a_torque_that_stays_for_all_losses_gives_out_the_whole_budget(losses, d
     last = mass.hold(PULL)  # the hand pulls before, without a torque
     carried = ((mover * T,),) * (delay + 1 + losses)
     apart.take((last,), (0.0,), (0.0,), [(0.0,)] * delay, carried if mover else ())
-    torque = apart.share_by_hand((wanted,), budget) * wanted
+    torque = apart.share_per_axis((wanted,), budget) * wanted
     assert 0.0 < torque < wanted
     for _ in range(delay):
         mass.hold(PULL)
