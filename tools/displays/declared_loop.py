@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from canhaptic.control.admittance import build_display_controller
-from canhaptic.control.admittance.admittance_environment import AdmittanceMass
+from canhaptic.control.admittance import build_display_group
+from canhaptic.control.admittance.group_environment import GroupMass
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
 from canhaptic.control.balance import Certificate
@@ -52,6 +52,7 @@ class DeclaredRig:
     above: float = 1.05  # times drive mass and gain declared
     share: float = 1.0  # of the hand declared; below 1 a false declaration
     seed: int = 0
+    axes: int = 1  # all alike, with a hand each and one account
     slew: float = 1e3  # [N/s]
     acceleration: float = 10.0  # [m/s^2]
 
@@ -130,38 +131,48 @@ def _far_speed(rig: DeclaredRig, random: Random, hold: int, command: float, plan
 
 
 def run(rig: DeclaredRig, seconds: float = 0.6) -> DeclaredOutcome:
-    """Returns what one hand did to the guard; the declarations as they are."""
+    """Returns what the hands, one on each axis, did to the guard; the declarations as they are."""
     random, found, controller = Random(rig.seed), DeclaredOutcome(), _controller(rig)
-    half = _Hold(rig, 0.5 * rig.time / _PARTS)
-    plan = random.randrange(5), random.choice([0.05, 0.1, 0.3])
-    state, energy, impulse = np.zeros(7), 0.0, 0.0
-    queue, late = [0.0] * (rig.delay + 1), [0.0] * rig.latency
+    half, axes = _Hold(rig, 0.5 * rig.time / _PARTS), range(rig.axes)
+    first = random.randrange(5), random.choice([0.05, 0.1, 0.3])
+    states, energy, impulses = [np.zeros(7) for _ in axes], 0.0, [0.0] * rig.axes
+    queue, late = [[0.0] * rig.axes] * (rig.delay + 1), [[0.0] * rig.axes] * rig.latency
     quickest = random.choice([5.0, 50.0]) * rig.time  # change of the far side's speed in a hold [m/s]
-    command = 0.0
-    controller.step(0.0, 0.0)
+    others = [random.choice([first, (random.randrange(5), 0.1)]) for _ in axes[1:]]
+    plans, commands = [first, *others], [0.0] * rig.axes
+    controller.step([0.0] * rig.axes, [0.0] * rig.axes)
     for hold in range(round(seconds / rig.time)):
-        state[5] = queue.pop(0)
-        wanted = _far_speed(rig, random, hold, command, plan) - state[3]
-        state[6] = min(quickest, max(-quickest, wanted)) / rig.time
-        energy = _follow(half, state, energy, found)
-        late.append(float(half.force @ state) if rig.sampling == "point" else (state[4] - impulse) / rig.time)
-        impulse = state[4]
+        gained = np.zeros(_PARTS)
+        for state, acting, command, plan in zip(states, queue.pop(0), commands, plans, strict=True):
+            state[5] = acting
+            wanted = _far_speed(rig, random, hold, command, plan) - state[3]
+            state[6] = min(quickest, max(-quickest, wanted)) / rig.time
+            gained += _follow(half, state, found)
+        found.least, energy = min(found.least, energy + float(gained.min())), energy + float(gained[-1])
+        is_point = rig.sampling == "point"
+        late.append([
+            float(half.force @ state) if is_point else (state[4] - impulse) / rig.time
+            for state, impulse in zip(states, impulses, strict=True)
+        ])  # fmt: skip
+        impulses = [state.item(4) for state in states]
         try:
-            balance = controller.step(float(state[0]), -late.pop(0))
+            balance = controller.step([state.item(0) for state in states], [-force for force in late.pop(0)])
         except ForceContradictedError:
             found.is_stopped = True
             break
-        command = balance.torque
-        queue.append(command)
-        found.moving += abs(command) > _MOVES
-        found.by_hand += balance.certificate == _DECLARED and abs(command) > _MOVES
-        found.uncertified += balance.certificate == Certificate.NONE.value
+        commands = list(balance.torques)
+        queue.append(commands)
+        moves, certificate = bool(max(map(abs, commands)) > _MOVES), balance.account.certificate
+        found.moving += moves
+        found.by_hand += certificate == _DECLARED and moves
+        found.uncertified += certificate == Certificate.NONE.value
     return found
 
 
-def _follow(half: _Hold, state: Array, energy: float, found: DeclaredOutcome) -> float:
-    """Moves the state on by a hold; returns the energy through the sensor [J]."""
-    for _ in range(_PARTS):
+def _follow(half: _Hold, state: Array, found: DeclaredOutcome) -> Array:
+    """Moves the state on by a hold; returns the energy through the sensor since its begin, after each part [J]."""
+    gained = np.zeros(_PARTS)
+    for place in range(_PARTS):
         powers = []
         for part in range(3):
             if part:
@@ -169,10 +180,9 @@ def _follow(half: _Hold, state: Array, energy: float, found: DeclaredOutcome) ->
             powers.append(float(half.force @ state) * state.item(1))
             found.slew = max(found.slew, abs(float(half.change @ state)))
             found.acceleration = max(found.acceleration, abs(float(half.rise @ state)))
-        energy += half.step / 3.0 * (powers[0] + 4.0 * powers[1] + powers[2])
-        found.least = min(found.least, energy)
+        gained[place] = half.step / 3.0 * (powers[0] + 4.0 * powers[1] + powers[2])
     found.travel = max(found.travel, abs(state.item(0)))
-    return energy
+    return np.cumsum(gained)
 
 
 def _controller(rig: DeclaredRig) -> Any:
@@ -186,9 +196,8 @@ def _controller(rig: DeclaredRig) -> Any:
         energy_allowance=rig.allowance, hand_stiffness=rig.stiffness * rig.share, hand_speed=rig.speed * rig.share,
         hand_mass=rig.mass * rig.share, hand_damping=rig.damping * rig.share, drive_friction=0.0,
     )  # fmt: skip
-    return build_display_controller(
-        AdmittanceMass(mass=rig.virtual_mass, damping=rig.virtual_damping), "guarded", parameters, properties
-    )
+    environment = GroupMass(mass=rig.virtual_mass, damping=rig.virtual_damping)
+    return build_display_group(environment, "guarded", parameters, [properties] * rig.axes)
 
 
 def with_true_bounds(rig: DeclaredRig, seconds: float = 0.6) -> tuple[DeclaredRig, DeclaredOutcome] | None:
