@@ -16,6 +16,8 @@ _OPEN: Final = b"canhaptic, loopback: no secret"
 _HELLO_EVERY: Final = 20  # sample times
 _KEPT: Final = (1 << 62) - 1
 """Bits of the number of a session that a log keeps."""
+_LAST: Final = (1 << 32) - 2
+"""Largest number of a packet of a session, which a packet has 32 bits for: 49 days at 1 kHz."""
 _TIMES: Final = 1024  # packets whose time of sending is kept, for the round trip
 
 
@@ -142,10 +144,10 @@ class Session:
         return packet
 
     def pass_time(self, periods: int) -> None:
-        """Let sample times pass; the session ends after too many without a packet."""
+        """Let sample times pass; the session ends after too many without a packet, and before its numbers do."""
         self._now += periods
         self._quiet += periods
-        if self.is_alive and self._quiet > self._silence:
+        if self.is_alive and (self._quiet > self._silence or self._seq > _LAST):
             self.end()
 
     def end(self) -> None:

@@ -120,6 +120,16 @@ def test_a_packet_that_is_sent_again_keeps_no_session_alive():
     assert not ends.sides[1].is_alive
 
 
+def test_a_session_ends_before_its_numbers_do():
+    ends = Ends().linked()
+    number = ends.sides[0].number
+    ends.sides[0]._seq = (1 << 32) - 2
+    for _ in range(3):
+        ends.turn()
+    assert not ends.sides[0].is_alive
+    assert ends.linked().sides[0].number != number
+
+
 def test_a_greeting_that_is_sent_again_begins_nothing():
     ends = Ends()
     ends.sides[0].say(FULL)
