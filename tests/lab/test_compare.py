@@ -2,8 +2,10 @@
 
 import json
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import ALGORITHMS, LoopProperties, build_controller
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab import render
+from canhaptic.lab.batch import scalar
 from canhaptic.lab.figures.figures import figures
 from canhaptic.lab.loop.axis_loop import (
     LoopRun,
@@ -303,6 +306,22 @@ def test_each_column_of_a_picture_says_whether_its_algorithm_gave_energy_out(mon
     assert said["guarded"] == "passive"
     assert said["unprotected"].startswith("gave out ")
     assert said["unprotected"].endswith(" mJ")
+
+
+def test_a_budget_of_time_replays_at_least_one_block_of_each_algorithm(scene):
+    loop, steps = loop_case(scene().axes[0], scene()), [0]
+    run, case = scalar.render(loop, 1000), Mock()
+    controller = loop.controller()
+
+    def step(position, torque):
+        steps[0] += 1
+        return controller.step(position, torque)
+
+    case.controller.return_value.step = step
+    for budget, repeats, replayed in ((inf, 2, 2000), (1e-9, 3, 750)):
+        steps[0] = 0
+        [time] = microseconds_per_step({"": (case, run)}, repeats, budget).values()
+        assert (steps[0], 0.0 < time < 1e4) == (replayed, True)
 
 
 @pytest.mark.slow

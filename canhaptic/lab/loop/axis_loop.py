@@ -470,25 +470,31 @@ _BLOCK: Final = 250
 """Steps in a block that is timed: few enough that at least one repeat of each block is not interrupted."""
 
 
-def microseconds_per_step(cases: Mapping[str, tuple[Any, LoopRun]], repeats: int) -> dict[str, float]:
+def microseconds_per_step(
+    cases: Mapping[str, tuple[Any, LoopRun]], repeats: int, budget: float = float("inf")
+) -> dict[str, float]:
     """Return the time of a step [us]: each block of steps counts with the least time of all repeats.
 
     Args:
         cases: Algorithm -> its case, and the run whose positions and torques are replayed; empty runs are omitted.
         repeats: Repeats of each algorithm, in turn (A B C A B C), so that a slow phase of the machine affects all.
+        budget: Processor time of all repeats [s]; an algorithm that takes long replays fewer blocks, at least one.
     """
     pairs = {name: _middle_of(run) for name, (_, run) in cases.items() if run.position.size}
     best = {name: [float("inf")] * -(-len(of_run) // _BLOCK) for name, of_run in pairs.items()}
-    clock = ProcessorClock()
-    for _ in range(repeats):
+    clock, share = ProcessorClock(), 1e9 * budget / max(1, repeats * len(pairs))
+    for repeat in range(repeats):
         for name, of_run in pairs.items():
-            step = cases[name][0].controller().step
+            step, times = cases[name][0].controller().step, best[name]
             for place, start in enumerate(range(0, len(of_run), _BLOCK)):
                 block = of_run[start : start + _BLOCK]
                 begin = clock.now()
                 for position, torque in block:
                     step(position, torque)
-                best[name][place] = min(best[name][place], clock.now() - begin)
+                times[place] = min(times[place], clock.now() - begin)
+                if not repeat and sum(times[: place + 1]) > share:
+                    pairs[name], best[name] = of_run[: start + _BLOCK], times[: place + 1]
+                    break
     return {name: sum(times) * 1e-3 / len(pairs[name]) for name, times in best.items()}
 
 

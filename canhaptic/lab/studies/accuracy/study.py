@@ -350,7 +350,7 @@ class AccuracyStudy:
             self._times |= timing.interleaved(jobs, 0.5 * self.budget, self.stop, advance)
         self._check()
         cases = {str(i): (row.variant, row.run) for i, row in enumerate(self._loops) if row.run.torque.any()}
-        each = microseconds_per_step(cases, _REPEATS)
+        each = microseconds_per_step(cases, _REPEATS, 0.5 * self.budget)
         try:
             exchange = timing.exchange_time(self.scene, self.holds)
             self._run_price = timing.run_price(self.scene, self.holds)
