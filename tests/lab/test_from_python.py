@@ -10,7 +10,9 @@ import pytest
 import canhaptic
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, SceneError
+from canhaptic.files import shipped
 from canhaptic.lab.studies.vary import listed
+from canhaptic.scene.load import load_scene
 
 
 def _printed(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
@@ -90,6 +92,18 @@ def test_a_sweep_returns_one_value_per_scene_and_keeps_a_file_only_where_asked(t
 def test_accuracy_and_design_take_a_name() -> None:
     assert canhaptic.accuracy("demo", duration=0.05, budget=0.0)["status"] == "completed"
     assert canhaptic.design("demo", tolerance=0.2)["stiffness"] > 100.0
+
+
+def test_a_study_of_one_side_of_a_coupling_is_refused_by_name() -> None:
+    scene = load_scene(shipped("configs") / "far_wall.yaml")
+    for study in (
+        lambda: canhaptic.compare(scene),
+        lambda: canhaptic.sweep(scene, {"bus.rate": [500.0, 1000.0]}),
+        lambda: canhaptic.design(scene),
+        lambda: canhaptic.accuracy(scene),
+    ):
+        with pytest.raises(InputError, match=r"axis handle is coupled with a far side .* canhaptic run runs both"):
+            study()
 
 
 def test_a_scene_that_does_not_exist_is_named() -> None:

@@ -29,7 +29,7 @@ from canhaptic.scene.components import ComponentOf, ComponentSpec
 from canhaptic.scene.displays import refuse_displays
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.method import simulation_of
-from canhaptic.scene.models import ALGORITHM, AxisScene, AxisSimulation, MechanismScene, Port, Scene
+from canhaptic.scene.models import ALGORITHM, FAR, AxisScene, AxisSimulation, MechanismScene, Port, Scene
 from canhaptic.scene.parts import controller_of
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import Plant, PlantParameters
@@ -249,21 +249,35 @@ def require_design_room(margin: float, tolerance: float) -> None:
 
 
 def require_single_axes(scene: Scene, command: str) -> None:
-    """Refuse a scene with groups or admittance displays.
+    """Refuse a scene with groups, admittance displays or a far side.
 
     Args:
         scene: Scene of the study.
         command: Command of the study, for the message.
 
     Raises:
-        InputError: A group renders on an axis, or an axis is an admittance display.
+        InputError: A group renders on an axis, or an axis is an admittance display or coupled with a far side.
     """
     refuse_displays(scene, command)
+    require_near(scene)
     for group in scene.groups:
         raise InputError(
             f"{scene.source}: group {group.name!r} renders on the axes {', '.join(group.axes)} together, expected "
             f"axes outside groups: {command} judges one axis at a time; `canhaptic run` and `canhaptic inspect` give "
             "the account of a group"
+        )
+
+
+def require_near(scene: Scene) -> None:
+    """Refuse a scene whose torques come from a far side or a world.
+
+    Raises:
+        InputError: An axis is coupled with one.
+    """
+    for name in (axis.parameters.name for axis in scene.axes if axis.guard == FAR):
+        raise InputError(
+            f"{scene.source}: axis {name} is coupled with a far side or a world, expected an environment in this "
+            "scene: a study runs one loop by itself; canhaptic run runs both sides"
         )
 
 
@@ -478,12 +492,15 @@ def microseconds_per_step(
     Args:
         cases: Algorithm -> its case, and the run whose positions and torques are replayed; empty runs are omitted.
         repeats: Repeats of each algorithm, in turn (A B C A B C), so that a slow phase of the machine affects all.
-        budget: Processor time of all repeats [s]; an algorithm that takes long replays fewer blocks, at least one.
+        budget: Processor time of all repeats [s]; an algorithm that takes long replays fewer blocks, at least one, and
+            no repeat begins when the time is used up.
     """
     pairs = {name: _middle_of(run) for name, (_, run) in cases.items() if run.position.size}
     best = {name: [float("inf")] * -(-len(of_run) // _BLOCK) for name, of_run in pairs.items()}
-    clock, share = ProcessorClock(), 1e9 * budget / max(1, repeats * len(pairs))
+    clock, spent, share = ProcessorClock(), 0, 1e9 * budget / max(1, repeats * len(pairs))
     for repeat in range(repeats):
+        if spent > 1e9 * budget:
+            break
         for name, of_run in pairs.items():
             step, times = cases[name][0].controller().step, best[name]
             for place, start in enumerate(range(0, len(of_run), _BLOCK)):
@@ -491,7 +508,8 @@ def microseconds_per_step(
                 begin = clock.now()
                 for position, torque in block:
                     step(position, torque)
-                times[place] = min(times[place], clock.now() - begin)
+                taken = clock.now() - begin
+                times[place], spent = min(times[place], taken), spent + taken
                 if not repeat and sum(times[: place + 1]) > share:
                     pairs[name], best[name] = of_run[: start + _BLOCK], times[: place + 1]
                     break

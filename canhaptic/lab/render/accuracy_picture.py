@@ -174,8 +174,8 @@ def _draw_loop(panel: "Axes", loop: Sequence[Row], result: Row) -> None:
     for place, row in enumerate(loop):
         thread = row.get("control_thread_us")
         words = [] if thread is None else [f"{thread:.0f} us"]
-        words.append(f"{100.0 * row['bus_load']:.0f} %" + ("" if row["bus_fits"] else " !"))
-        _write_right(panel, place, ", ".join(words))
+        words.append(accuracy_table.bus_load(row, "") + ("" if row["bus_fits"] else " !"))
+        _write_right(panel, place, ", ".join(filter(None, words)))
 
 
 def _write_right(panel: "Axes", place: float, text: str) -> None:

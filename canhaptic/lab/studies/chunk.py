@@ -150,13 +150,14 @@ def make_recipe(scene: Scene, points: Points, *, allow_code: bool = False, **opt
         options: Further attributes of the recipe: metrics, engine, and optionally duration, cycles and beyond_bus.
 
     Raises:
-        InputError: The scene has no text or simulation, or an algorithm is unknown.
+        InputError: The scene has no text or simulation, or a far side, or an algorithm is unknown.
         SceneError: A key or a value is wrong by itself.
     """
     if not scene.text:
         raise InputError(
             f"{scene.source}: a sweep needs the text of its scene; make it by load_scene or scene_from_text"
         )
+    axis_loop.require_near(scene)
     moved = {name for of in scene.mechanisms for name in of.axes}
     if not all(axis.simulation is not None or axis.parameters.name in moved for axis in scene.axes):
         raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user on every axis; add one")

@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from canhaptic.cli.main import main
-from canhaptic.lab.studies.accuracy import study as control_thread
+from canhaptic.lab.studies.accuracy import timing
 from canhaptic.lab.studies.accuracy.accuracy_table import price_lines, wrapped
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy, length_of
 from canhaptic.scene.load import load_scene
@@ -29,10 +29,21 @@ Captured = pytest.CaptureFixture[str]
 
 
 @pytest.mark.slow
+def test_a_rate_that_a_line_cannot_have_is_named_and_the_others_are_studied(capsys: Captured, tmp_path: Path) -> None:
+    words = ["--duration", "0.6 s", "--budget", "0", "--html", str(tmp_path / "a.html"), "--json"]
+    assert main(["accuracy", "ethercat", *words]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [text[:30] for text in found["remarks"] if "rate" in text] == ["left out: sample rate 250 Hz ("]
+    loads = {row["setting"]: row["bus_load"] for row in found["loop"] if row["group"] == "sample rate"}
+    assert loads == {"500 Hz": None, "2 kHz": None, "4 kHz": None}  # that of a line of EtherCAT is not computed
+    assert "bus " not in " ".join(price_lines(found))
+
+
+@pytest.mark.slow
 def test_json_is_one_object_and_page_and_tables_are_written(
     capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(control_thread, "_TURNS", 1)
+    monkeypatch.setattr(timing, "_TURNS", 1)
     files = {kind: tmp_path / f"a.{kind}" for kind in ("html", "markdown")}
     words = [word for kind, path in files.items() for word in (f"--{kind}", str(path))]
     words += ["--duration", "0.01 s", "--budget", "0.001", "--tolerance", "1 um", "--json"]

@@ -166,9 +166,15 @@ def _loop_price(row: Row, result: Row, group: str) -> str:
     spent = row.get("control_thread_us")
     parts = [] if spent is None else [_time(spent)]
     if group == "sample rate":
-        parts.append(f"bus {100.0 * row['bus_load']:.0f} %{'' if row['bus_fits'] else ', cycle too long'}")
+        parts.append(f"{bus_load(row)}{'' if row['bus_fits'] else ', cycle too long'}")
     stable = row["status"] == "ok"
-    return ", ".join([*parts, length(row["position_error"], result["unit"]) if stable else str(row["status"])])
+    parts.append(length(row["position_error"], result["unit"]) if stable else str(row["status"]))
+    return ", ".join(filter(None, parts))
+
+
+def bus_load(row: Row, before: str = "bus ") -> str:
+    """Return the load of the bus of a row of the loop; "" for a line of EtherCAT, whose load is not computed."""
+    return "" if row["bus_load"] is None else f"{before}{100.0 * row['bus_load']:.0f} %"
 
 
 def _renders_nothing(row: Row) -> bool:
@@ -294,8 +300,8 @@ def _change(row: Row, base: Row, unit: str) -> str:
     out = f", gives out {si(given, 'J', 2)}" if given > PASSIVE_TOLERANCE else ""
     if row["group"] == "algorithm" and base["setting"] == _KEPT_BY:
         out = f"{out}, leaves {_KEPT_BY} and its guarantee"
-    load = f"bus {100.0 * row['bus_load']:.0f} %"
-    return f"{row['group']}: {row['setting']} ({length(row['position_error'], unit)}, {load}{out})"
+    price = ", ".join(filter(None, (length(row["position_error"], unit), bus_load(row))))
+    return f"{row['group']}: {row['setting']} ({price}{out})"
 
 
 def _without_effect(result: Row) -> set[str]:
@@ -384,7 +390,7 @@ def _effect_cells(row: Row, unit: str) -> list[str]:
 
 def _loop_cells(row: Row, unit: str) -> list[str]:
     thread = row.get("control_thread_us")
-    load = f"{100.0 * row['bus_load']:.0f} %{'' if row['bus_fits'] else ' !'}"
+    load = f"{bus_load(row, '')}{'' if row['bus_fits'] else ' !'}"
     errors = _error_cells(row, unit) if row["status"] == "ok" else [row["status"].partition(":")[0], "", ""]
     errors = [_IDLE, "", ""] if _renders_nothing(row) else errors
     return [

@@ -36,7 +36,7 @@ from canhaptic.lab.loop.admittance_loop import AdmittanceRun
 from canhaptic.lab.loop.axis_loop import at_rate, parts_of
 from canhaptic.lab.reference import ContinuousRun
 from canhaptic.lab.studies import Row
-from canhaptic.scene.buses import can_bus
+from canhaptic.scene.buses import can_bus, kind_of
 from canhaptic.scene.load import with_loops
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
@@ -143,17 +143,22 @@ class LoopRow:
     seconds: float  # processor time of the run, plant and recording included
 
 
-def variants(alone: Scene, whole: Scene) -> list[Variant]:
+def variants(alone: Scene, whole: Scene, refused: Callable[[str], None] = lambda _: None) -> list[Variant]:
     """Return an axis or a group and its variants, one change each, on finely solved plants.
 
     Args:
         alone: Scene of the axis or group alone.
         whole: Whole scene, whose other axes share the bus.
+        refused: Called with a line on each rate that the bus cannot have.
     """
     base = finely_solved(alone)
     found = [Variant("as it is", _algorithm_of(base), base, is_scene=True)]
     for factor, rate in _rates(base):
-        faster = finely_solved(at_rate(alone, rate), factor)
+        try:
+            faster = finely_solved(at_rate(alone, rate), factor)
+        except ParameterError as error:
+            refused(f"left out: sample rate {hertz(rate)} ({str(error).splitlines()[0]})")
+            continue
         found.append(Variant("sample rate", hertz(rate), faster, fineness=factor))
     return [*found, *_delays(base, whole), *_algorithms(base), *_filters(base), *_torques(base), *_encoders(base),
             *_without_encoder_effects(base)]  # fmt: skip
@@ -330,7 +335,9 @@ def engines_of(variants: Sequence[Variant], duration_ns: int, engine: Engine) ->
 
 
 def bus_figures(variant: Variant, scene: Scene) -> Row:
-    """Return load and worst cycle of the busiest bus of the axes, at the variant's rate."""
+    """Return load and worst cycle of the busiest bus of the axes, at the variant's rate; None of a line of EtherCAT."""
+    if kind_of(variant.scene.bus) != "can":
+        return {"bus_load": None, "worst_cycle": None, "bus_fits": True}
     budgets = []
     for bus in dict.fromkeys(axis.bus for axis in variant.scene.axes):
         given = [axis.parameters for axis in scene.axes if axis.bus == bus]

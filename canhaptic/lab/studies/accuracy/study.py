@@ -25,7 +25,7 @@ from canhaptic.drive.clock import ProcessorClock
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.batch import Engine
 from canhaptic.lab.judge.solvers import NotSolvedError
-from canhaptic.lab.loop.axis_loop import microseconds_per_step, parts_of, under
+from canhaptic.lab.loop.axis_loop import microseconds_per_step, parts_of, require_near, under
 from canhaptic.lab.reference import continuous_motion
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy import loop_sensitivity, plant_solvers, timing
@@ -79,6 +79,7 @@ def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
     Raises:
         InputError: There is none of that name, or it is not simulated.
     """
+    require_near(scene)
     axis = next((axis for axis in scene.axes if name in (None, axis.parameters.name)), None)
     parts = parts_of(scene)
     if axis is None and name not in parts:
@@ -292,7 +293,7 @@ class AccuracyStudy:
             return asked()
 
         exact = continuous_motion(self.part.scene, step, steps, stop)
-        every = loop_sensitivity.variants(self.part.scene, self.scene)
+        every = loop_sensitivity.variants(self.part.scene, self.scene, self._remark)
         engines = loop_sensitivity.engines_of(every, self.holds * period, self.engine)
         for number, (variant, engine) in enumerate(zip(every, engines, strict=True)):
             if number and self._is_over("loops"):

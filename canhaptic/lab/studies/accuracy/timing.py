@@ -25,7 +25,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import ProcessorClock, VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.scene.build import build
-from canhaptic.scene.buses import can_bus
+from canhaptic.scene.buses import can_bus, kind_of
 from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_servo_drive
@@ -41,13 +41,13 @@ _NS_PER_US: Final = 1e3
 def exchange_time(scene: Scene, most: int) -> float | None:
     """Return the time of a cycle in the control thread without its algorithms [us].
 
-    None if the scene has real drives, effects on its bus or several buses.
+    None if the scene has real drives, effects on its bus, several buses or a line of EtherCAT.
 
     Args:
         scene: Scene whose frames are exchanged.
         most: Largest number of cycles.
     """
-    if not scene.simulated or scene.bus_effects is not None or len(scene.buses) != 1:
+    if not scene.simulated or scene.bus_effects is not None or len(scene.buses) != 1 or kind_of(scene.bus) != "can":
         return None
     bus = can_bus(scene.bus)
     with ExitStack() as stack:
