@@ -52,7 +52,9 @@ def test_json_is_one_object_and_page_and_tables_are_written(
     assert (result["status"], result["holds"], result["tolerance"]) == ("completed", 5, 1e-6)
     assert result["workload"]["seconds"] > 0.0
     assert result["advice"]["chosen"]["position_error"] <= 1e-6
-    assert all(row["control_thread_us"] > row["controller_us"] > 0.0 for row in result["loop"])
+    timed = [row for row in result["loop"] if row["largest_torque"]]  # what sends no torque has no price
+    assert len(timed) > 5
+    assert all(row["control_thread_us"] > row["controller_us"] > 0.0 for row in timed)
     assert {row["effect"] for row in result["advice"]["effects"]} == {"cogging", "torque_ripple", "current_loop"}
     page = files["html"].read_text(encoding="utf-8")
     assert "semi-implicit Euler" in page
