@@ -273,20 +273,23 @@ def touch(
         allow_code: Whether program files that the scene names may run.
 
     Raises:
-        InputError: The scene cannot be touched, Bokeh is not installed, the port is taken, a notebook calls this, or
-            something given cannot be imported.
+        InputError: The scene cannot be touched, Bokeh is not installed, the port is taken, a notebook calls this,
+            something given cannot be imported, or the other process called this.
 
     Examples:
         >>> canhaptic.touch("demo", {"environment": MyWall(stiffness=300.0)})  # doctest: +SKIP
     """
     from argparse import Namespace
     from asyncio import _get_running_loop
+    from multiprocessing import current_process
 
     from canhaptic.registry import load
     from canhaptic.scene.given import parcel
 
     if _get_running_loop() is not None:
         raise InputError("touch: a notebook runs a loop of its own; write a script that calls this, and start it")
+    if getattr(current_process(), "_inheriting", False):  # as multiprocessing asks itself
+        raise InputError("touch: another process imports this script; call touch under `if __name__ == '__main__':`")
     if pace not in ("even", "real"):
         raise InputError(f"pace: got {pace!r}, expected 'even' or 'real'")
     loaded = load_any(scene, changes or {}, allow_code)

@@ -2,6 +2,7 @@
 
 import json
 import linecache
+import multiprocessing
 import re
 import sys
 import zlib
@@ -199,6 +200,12 @@ def test_what_touch_cannot_take_along_is_told(cell: Cell) -> None:
         canhaptic.touch("demo", changes)
 
 
+def test_a_script_that_calls_touch_again_in_its_other_process_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(multiprocessing.current_process(), "_inheriting", True, raising=False)
+    with pytest.raises(InputError, match=r"another process imports this script; call touch under `if __name__"):
+        canhaptic.touch("demo")
+
+
 def test_what_touch_takes_along_is_there_in_another_process(monkeypatch: pytest.MonkeyPatch) -> None:
     overrides = [f"environment={json.dumps(given.plain(slope, ('environment',)))}"]
     parcelled, there = given.parcel(overrides, "a test"), dict[str, Any]()
@@ -216,6 +223,8 @@ def slope(state: float, stiffness: float = 7.0) -> float:
 @pytest.mark.slow
 def test_figure_of_88_mm(tmp_path: Path) -> None:
     result = canhaptic.simulate("demo", duration=1.3, progress=False)
+    with pytest.raises(InputError, match=r"got 'run\.pdf', expected another SimulationResult .*savefig\('run\.pdf'\)"):
+        result.plot("run.pdf")  # type: ignore[arg-type]
     figure = result.plot(panels=["position", "torque"], width="88 mm")
     for name in ("figure.svg", "figure.pdf"):
         figure.savefig(tmp_path / name)
