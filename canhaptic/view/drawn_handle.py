@@ -77,11 +77,10 @@ def new_plane(
     if links:
         plane.multi_line("link_x", "link_y", source=source, line_color=MIDDLE, line_width=5, line_cap="round")
         plane.scatter([-links[0], links[0]], [0.0, 0.0], size=14, color=MIDDLE)
-    of: Any = {"source": source}
     if "hand_x" in source.data:
-        plane.segment("x", "y", "hand_x", "hand_y", line_color=PALE, line_width=3, **of)
-        plane.scatter("hand_x", "hand_y", marker="cross", size=22, line_color=GREY, line_width=2, **of)
-    plane.scatter("x", "y", size=22, fill_color=colour, line_color="white", **of)
+        plane.segment("x", "y", "hand_x", "hand_y", line_color=PALE, line_width=3, source=source)
+        plane.scatter("hand_x", "hand_y", marker="cross", size=22, line_color=GREY, line_width=2, source=source)
+    plane.scatter("x", "y", size=22, fill_color=colour, line_color="white", source=source)
     return plane
 
 
@@ -113,7 +112,9 @@ def new_knob(
     return disc
 
 
-def five_bar(links: Sequence[float], angles: Sequence[float], place: Sequence[float]) -> dict[str, list[list[float]]]:
+def five_bar(
+    links: Sequence[float] = (), angles: Sequence[float] = (), place: Sequence[float] = ()
+) -> dict[str, list[list[float]]]:
     """Return the links of a five-bar as columns of its source; without links, empty lines.
 
     Args:

@@ -11,23 +11,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from bokeh import models
 from bokeh.document import Document
 from bokeh.layouts import column, row
-from bokeh.models import (
-    BoxAnnotation,
-    ColumnDataSource,
-    CustomJS,
-    CustomJSHover,
-    DataRange1d,
-    Div,
-    GlobalInlineStyleSheet,
-    HoverTool,
-    Model,
-    Range,
-    Slider,
-    Span,
-    Toggle,
-)
 from bokeh.plotting import figure
 from bokeh.themes import Theme
 
@@ -76,7 +62,7 @@ for (const range of ranges) {
 """
 
 
-def _new_panel(title: str, unit: str, time: Range, height: int) -> figure:
+def _new_panel(title: str, unit: str, time: models.Range, height: int) -> figure:
     panel = figure(
         x_range=time, height=height, tools=_TOOLS, active_drag="xbox_zoom", active_scroll="xwheel_zoom", name=title,
         output_backend="canvas", window_axis="x", **WIDE,
@@ -97,28 +83,28 @@ class LivePage:
         window: Length of the shown time [s].
     """
 
-    def __init__(self, document: Document, title: str, ranges: Sequence[Range], window: float) -> None:
+    def __init__(self, document: Document, title: str, ranges: Sequence[models.Range], window: float) -> None:
         self._document, document.title = document, title
-        self._pause = Toggle(label="pause", name="pause")
-        back = Slider(title="back [s]", start=0.0, end=2.0 * window, value=0.0, step=window / 100.0, name="back")
+        self._pause = models.Toggle(label="pause", name="pause")
+        back = models.Slider(title="back [s]", start=0.0, end=2.0 * window, value=0.0, step=window / 100.0, name="back")
         words = {"ranges": list(ranges), "pause": self._pause, "back": back, "window": window}
-        moved = CustomJS(args=words, code=_BACK)
+        moved = models.CustomJS(args=words, code=_BACK)
         self._pause.js_on_change("active", moved)
         back.js_on_change("value", moved)
         self.time = row(self._pause, back, name="time")
         page, widgets = _LIVE.split("/* widgets */")
         document.theme = Theme(json={"attrs": {"Widget": {"stylesheets": [widgets]}}})
-        sheet = GlobalInlineStyleSheet(css=STYLE + page)
+        sheet = models.GlobalInlineStyleSheet(css=STYLE + page)
         self._root = column(sizing_mode="stretch_width", name="root", stylesheets=[sheet])
         document.add_root(self._root)
-        document.js_on_event("document_ready", CustomJS(code=_REPAINT))
+        document.js_on_event("document_ready", models.CustomJS(code=_REPAINT))
 
     @property
     def is_paused(self) -> bool:
         """Whether the visitor looks at what was."""
         return bool(self._pause.active)
 
-    def show(self, children: Sequence[Model]) -> None:
+    def show(self, children: Sequence[models.Model]) -> None:
         """Replace the contents of the page."""
         self._root.children = list(children)
 
@@ -142,7 +128,7 @@ _OPTIONAL: Final[dict[str, tuple[str, ...]]] = {
 
 
 def panel_of(
-    time: Range, source: ColumnDataSource, title: str, unit: str, height: int, glyphs: Iterable[_Glyph]
+    time: models.Range, source: models.ColumnDataSource, title: str, unit: str, height: int, glyphs: Iterable[_Glyph]
 ) -> figure:
     """Return a panel over time, with time and values at the pointer, with five digits and SI prefix.
 
@@ -159,8 +145,8 @@ def panel_of(
         drawn = getattr(panel, kind)(x="time", source=source, **style)
         if drawn.name in source.data:
             values[style["legend_label"]] = f"@{{{drawn.name}}}"
-    value = CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=SI_VALUE)
-    panel.add_tools(HoverTool(
+    value = models.CustomJSHover(args={"prefixes": prefixes_of(unit), "unit": unit}, code=SI_VALUE)
+    panel.add_tools(models.HoverTool(
         renderers=[drawn], mode="vline", line_policy="nearest", formatters=dict.fromkeys(values.values(), value),
         tooltips=[("time", "@time{0.0000} s"), *((label, f"{place}{{custom}}") for label, place in values.items())],
     ))  # fmt: skip
@@ -186,10 +172,10 @@ def _known(column: str, name: str, width: float = 1.5, **style: Any) -> _Glyph:
 
 
 def _common_panel(
-    title: str, unit: str, time: Range, names: Iterable[str], kind: str = "line", **look: Any
-) -> tuple[ColumnDataSource, figure]:
+    title: str, unit: str, time: models.Range, names: Iterable[str], kind: str = "line", **look: Any
+) -> tuple[models.ColumnDataSource, figure]:
     """Return a hidden panel of the whole run, with its source: of every column a line, or exact steps between rows."""
-    source = ColumnDataSource({name: [] for name in ("time", *names)})
+    source = models.ColumnDataSource({name: [] for name in ("time", *names)})
     lines = [
         (kind, line_of(name, name.replace("_", " "), colour, 1.0, **look)[1])
         for name, colour in zip(names, cycle((BLUE, GREEN, ORANGE, PURPLE, SKY, GREY)))
@@ -199,7 +185,7 @@ def _common_panel(
     return source, panel
 
 
-def _port_panels(facts: PortFacts, time: Range, source: ColumnDataSource) -> dict[str, figure]:
+def _port_panels(facts: PortFacts, time: models.Range, source: models.ColumnDataSource) -> dict[str, figure]:
     """Return the panels of one port, top to bottom, in the colours of the picture of a finished run.
 
     A group has no position panel, an axis in a group no energy panel, and only an admittance display a velocity panel.
@@ -242,11 +228,13 @@ def _add_surfaces(panel: figure, facts: PortFacts) -> None:
     for wall, side in facts.walls:
         panel.hspan(y=[wall], line_color=MIDDLE, line_dash="dashed", legend_label="wall", name="wall")
         edge = {"top" if side == "below" else "bottom": wall}
-        panel.add_layout(BoxAnnotation(**edge, fill_color=MIDDLE, fill_alpha=0.2, line_alpha=0.0, level="underlay"))
+        panel.add_layout(
+            models.BoxAnnotation(**edge, fill_color=MIDDLE, fill_alpha=0.2, line_alpha=0.0, level="underlay")
+        )
     if facts.notches:
         look: dict[str, Any] = {"line_color": GREY, "line_dash": "dashed", "line_alpha": 0.6}
         panel.hspan(y=facts.notches, legend_label="notch", name="notches", **look)
-        panel.y_range = DataRange1d(renderers=panel.select({"name": "position"}))
+        panel.y_range = models.DataRange1d(renderers=panel.select({"name": "position"}))
 
 
 class ScopePage:
@@ -262,10 +250,10 @@ class ScopePage:
     def __init__(self, document: Document, log: LiveLog, window: float, period: float) -> None:
         self._log = log
         self._window = window
-        self._status = Div(text=f"waiting for {html.escape(str(log.path))} ...", name="status")
-        self._time = DataRange1d(follow="end", follow_interval=window, range_padding=0.02)
+        self._status = models.Div(text=f"waiting for {html.escape(str(log.path))} ...", name="status")
+        self._time = models.DataRange1d(follow="end", follow_interval=window, range_padding=0.02)
         self._ports: dict[str, _LivePort] = {}
-        self._common: dict[str, tuple[ColumnDataSource, figure]] = {}
+        self._common: dict[str, tuple[models.ColumnDataSource, figure]] = {}
         self._last: News | None = None  # look that found rows
         self._page = LivePage(document, f"canhaptic scope: {log.path.name}", [self._time], window)
         self._page.show([self._status])
@@ -297,9 +285,9 @@ class ScopePage:
         self._ports = {name: _LivePort(news, name, self._time, self._window) for name in groups_first}
         timing = _common_panel("timing", "s", self._time, news.timing)
         lost = _common_panel("lost", "", self._time, news.lost, "step", mode="after")
-        due = Span(location=news.sample_time, dimension="width", line_color=GREY, line_dash="dashed")
+        due = models.Span(location=news.sample_time, dimension="width", line_color=GREY, line_dash="dashed")
         timing[1].add_layout(due)
-        lost[1].y_range = DataRange1d(start=-0.05, min_interval=1.0)
+        lost[1].y_range = models.DataRange1d(start=-0.05, min_interval=1.0)
         self._common = {"timing": timing, "lost": lost}
         panels = [panel for port in self._ports.values() for panel in port.layout]
         self._page.show([self._status, self._page.time, *panels, timing[1], lost[1]])
@@ -308,11 +296,11 @@ class ScopePage:
 class _LivePort:
     """Panels of one port; a panel is hidden as long as all its values are zero."""
 
-    def __init__(self, news: News, name: str, time: Range, window: float) -> None:
+    def __init__(self, news: News, name: str, time: models.Range, window: float) -> None:
         self._window, self._sample_time = window, news.sample_time
-        self._source = ColumnDataSource({key: [] for key in ("time", *_LINES)})
-        self._contacts = ColumnDataSource({"start": [], "end": []})
-        self._faults = ColumnDataSource({"at": [], "text": []})
+        self._source = models.ColumnDataSource({key: [] for key in ("time", *_LINES)})
+        self._contacts = models.ColumnDataSource({"start": [], "end": []})
+        self._faults = models.ColumnDataSource({"at": [], "text": []})
         self._in_contact: list[tuple[float, float]] = []
         self._name = name
         facts = news.facts[name]
@@ -328,22 +316,17 @@ class _LivePort:
             self.layout[: len(beside)] = [row(*beside, self._handle.drawing, sizing_mode="stretch_width")]
         for kind, panel in over_time:
             panel.visible = kind not in _OPTIONAL
-            strip = panel.vstrip(
-                x0="start", x1="end", source=self._contacts, fill_color=GREY, fill_alpha=0.07, line_alpha=0
-            )
-            strip.level, strip.name = "underlay", "contacts"
+            look: Any = {"fill_color": GREY, "fill_alpha": 0.07, "line_alpha": 0, "level": "underlay"}
+            panel.vstrip(x0="start", x1="end", source=self._contacts, name="contacts", **look)
             mark = panel.vspan(x="at", source=self._faults, line_color=ALARM, line_width=1.5, line_dash="dotted")
-            panel.add_tools(HoverTool(renderers=[mark], tooltips=[("", "@text"), ("at", "@at{0.0000} s")]))
+            panel.add_tools(models.HoverTool(renderers=[mark], tooltips=[("", "@text"), ("at", "@at{0.0000} s")]))
 
     def take(self, news: News, keep: Array) -> None:
         """Draw the new rows selected by `keep`, their contacts, and all faults."""
         time, rows = news.time[keep], news.ports[self._name]
         columns = {key: rows[key][keep] for key in _LINES}
-        faults = [e for e in news.events if e.event.kind in FAULTS and e.event.port in {"", self._name}]
-        self._faults.data = {
-            "at": [fault.time for fault in faults],
-            "text": [f"{fault.event.kind}: {fault.event.text}" for fault in faults],
-        }
+        faults = [(at, of) for at, of in news.events if of.kind in FAULTS and of.port in {"", self._name}]
+        self._faults.data = {"at": [at for at, _ in faults], "text": [f"{of.kind}: {of.text}" for _, of in faults]}
         _stream(self._source, time, columns)
         self._handle.take(news, keep)
         for title, panel in self.panels.items():
@@ -357,10 +340,7 @@ class _LivePort:
                 start = self._in_contact.pop()[0]  # the contact of the last look goes on
             self._in_contact.append((start, end))
         self._in_contact = [span for span in self._in_contact if span[1] >= time[-1] - self._window]
-        self._contacts.data = {
-            "start": [start for start, _ in self._in_contact],
-            "end": [end for _, end in self._in_contact],
-        }
+        self._contacts.data = {key: [span[at] for span in self._in_contact] for at, key in enumerate(("start", "end"))}
 
 
 class _LiveHandle:
@@ -373,9 +353,13 @@ class _LiveHandle:
 
     def __init__(self, facts: PortFacts, position: figure | None) -> None:
         self._facts = facts
-        self._source = ColumnDataSource({"x": [], "y": [], "link_x": [], "link_y": []}, name=f"{facts.name}: handle")
-        self._trace, self._material = (ColumnDataSource({name: [] for name in names}) for names in ("xy", _IMAGE))
-        self._spans = ((0.0, 0.0), (0.0, 0.0))
+        self._source = models.ColumnDataSource(
+            {"x": [], "y": [], "link_x": [], "link_y": []}, name=f"{facts.name}: handle"
+        )
+        self._trace, self._material = (
+            models.ColumnDataSource({name: [] for name in names}) for names in ("xy", _IMAGE)
+        )
+        self._spans = [(0.0, 0.0), (0.0, 0.0)]  # in both directions, of what is drawn
         self.drawing: figure | None = None
         if (plane := facts.plane) is not None:
             look: Any = {"height": 260, "name": f"{facts.name}: plane", "unit": plane.unit}
@@ -394,7 +378,7 @@ class _LiveHandle:
         plane = self._facts.plane
         if plane is None:
             place = news.ports[self._facts.name]["position"][-1:]
-            self._source.data = {"x": place, "y": news.time[-1:]} | five_bar((), (), ())
+            self._source.data = {"x": place, "y": news.time[-1:]} | five_bar()
             return
         motors = np.array([news.ports[axis]["position"][keep] for axis in plane.axes])
         path = plane.path(motors[:, decimate_together(motors, 50)])
@@ -411,16 +395,14 @@ class _LiveHandle:
     def _draw(self, plane: Plane) -> None:
         path = np.column_stack([self._trace.data[axis] for axis in "xy"])
         room = 1e-3 + 0.2 * float(np.ptp(path, axis=0).max())
-        across: Any
-        along: Any
-        across, along = ([float(of.min()) - room, float(of.max()) + room] for of in path.T)
+        spans: Any = [(float(of.min()) - room, float(of.max()) + room) for of in path.T]
         if (drawn := plane.drawn(path)) is not None:
-            across, along = drawn.across, drawn.along
+            spans = across, along = drawn.across, drawn.along
             parts = ((drawn.depth, drawn.surface), *drawn.further)
             inside = np.any([depth <= at if at else depth > at for depth, at in parts], axis=0)  # a line has no inside
             image = (across[0], along[0], across[-1] - across[0], along[-1] - along[0], shade_of(inside))
             self._material.data = {name: [value] for name, value in zip(_IMAGE, image, strict=True)}
-        self._spans = (float(across[0]), float(across[-1])), (float(along[0]), float(along[-1]))
+        self._spans = [(float(span[0]), float(span[-1])) for span in spans]
         if self.drawing is not None:
             self.drawing.tags = list(reach_of(plane.links, *self._spans))
 
@@ -428,18 +410,18 @@ class _LiveHandle:
 _IMAGE: Final = ("x", "y", "dw", "dh", "image")
 
 
-def _states(news: News, name: str, time: Range) -> StatePanels | None:
+def _states(news: News, name: str, time: models.Range) -> StatePanels | None:
     """Return lane and spectrum of an axis; None of a group, which has no torque of its own."""
     facts = news.facts[name]
     if not facts.has_motion:
         return None
     unit = facts.units["applied"]
-    panel = _new_panel(f"{name}: spectrum", unit, DataRange1d(range_padding=0.0), 150)
+    panel = _new_panel(f"{name}: spectrum", unit, models.DataRange1d(range_padding=0.0), 150)
     panel.xaxis.formatter = si_ticks("Hz")
     return StatePanels(name, facts.torque_limit, unit, time, news.sample_time, panel)
 
 
-def _stream(source: ColumnDataSource, time: Array, columns: Mapping[str, Array]) -> None:
+def _stream(source: models.ColumnDataSource, time: Array, columns: Mapping[str, Array]) -> None:
     shown = decimate_together(columns.values(), _BUCKETS)
     source.stream({"time": time[shown]} | {name: values[shown] for name, values in columns.items()}, rollover=_POINTS)
 

@@ -123,7 +123,7 @@ class _SideView:
         self._waiting: list[dict[str, Array]] = []
         self._is_touched = False
         x, y = ([at] for at in (*touched.start, 0.0)[:2])
-        handle = {"x": x, "y": y, "hand_x": x, "hand_y": y, "token": [0.0], "frame": [0]} | five_bar((), (), ())
+        handle = {"x": x, "y": y, "hand_x": x, "hand_y": y, "token": [0.0], "frame": [0]} | five_bar()
         self.handle = models.ColumnDataSource(handle, name=f"handle {number}")
         vectors = ("force", *("velocity", "command") * touched.is_display)
         self._columns = {f"{vector} {d}": f"{number}.{vector}.{d}" for vector in vectors for d in touched.directions}
