@@ -14,7 +14,7 @@ import random
 import secrets
 from collections.abc import Iterator, Mapping
 from functools import partial
-from math import inf, isfinite
+from math import inf
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -28,7 +28,7 @@ from canhaptic.far.parameters import LOOPBACK, FarParameters, address
 from canhaptic.far.session import Session
 from canhaptic.far.side import read_key
 from canhaptic.far.udp import UdpLink
-from canhaptic.far.world_side import Hand, WorldAxis
+from canhaptic.far.world_side import Hand, WorldAxis, number_in
 from canhaptic.registry import nearest
 from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.models import Scene
@@ -92,16 +92,12 @@ class World:
         if loaded.far is None or loaded.far.world is None:
             text = f"{loaded.source}: far: expected a section `far` with `world: loopback`"
             raise InputError(f"World: {text}, which names this program as the far side of an axis")
-        far = loaded.far
-        if rig == _VIRTUAL:
-            if not isfinite(period) or not 1e-4 <= period <= 10.0:
-                raise InputError(
-                    f"World: period: got {shown(period)}, expected 1e-4 to 10 s of virtual time for a turn"
-                )
-            self._place: _Virtual | _Elsewhere = _Virtual(loaded, period, energy_log)
-        else:
-            self._place = _Elsewhere(loaded, far, rig)
+        far, turn = loaded.far, "1e-4 to 10 s of virtual time for a turn"
+        budget = number_in("World", "budget", budget, "a number of at least 0 J", least=0.0)
+        period = number_in("World", "period", period, turn, least=1e-4, largest=10.0)
         silence, key = max(1, round(far.silence / loaded.bus.sample_time)), read_key(far.key) if far.key else b""
+        self._place: _Virtual | _Elsewhere
+        self._place = _Virtual(loaded, period, energy_log) if rig == _VIRTUAL else _Elsewhere(loaded, far, rig)
         self._session = Session(key, silence, inf, self._place.fresh, self._place.transport.send)
         self._axis = WorldAxis(far, self._session, budget, str(loaded.source))
         self._is_begun = False
@@ -187,7 +183,11 @@ class _Elsewhere:
 
     def __init__(self, scene: Scene, far: FarParameters, rig: str) -> None:
         other, own = far.places
-        other = other if rig == LOOPBACK else address(rig, "World")
+        if rig != LOOPBACK:
+            try:
+                other = address(rig, "World")
+            except ValueError as error:
+                raise InputError(f"{error}, or {_VIRTUAL}") from error
         self.name, self.fresh = "{}:{}".format(*other), partial(_random, secrets.SystemRandom())
         self._clock, self._period = WallClock(), scene.bus.sample_time_ns
         self.transport, self._link = self, UdpLink(own, other)

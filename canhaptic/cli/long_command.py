@@ -20,8 +20,12 @@ KEPT: Final = ("yes", "no contact", "dry run")
 
 
 def notes(scene: Scene) -> Iterator[str]:
-    """Yield notes: real axes without passivity controller, reduced torque limits, the check list, slow simulations."""
+    """Yield notes: no passivity controller, a program that is awaited, reduced limits, check list, slow simulations."""
     yield from unguarded(scene)
+    if scene.far is not None and scene.far.world is not None:
+        own, world = ("{}:{}".format(*place) for place in scene.far.places)
+        text = f"far: {scene.far.axis} waits at {own} for a program at {world} that iterates over canhaptic.World"
+        yield f"{text}(scene={str(scene.source)!r}); until it comes, and after it has gone, the handle is free"
     for axis in scene.axes:
         given, limit = axis.parameters, axis.loop.torque_limit or 0.0
         if limit < given.torque_limit and given.admittance is None:

@@ -38,7 +38,7 @@ class WorldAxis:
 
     def __init__(self, far: FarParameters, session: Session, budget: float, source: str) -> None:
         self.name, self._far, self._session, self._source = far.axis, far, session, source
-        self._budget = _number("World", "budget", budget, "a number of at least 0 J", least=0.0) / PICO
+        self._budget = budget / PICO
         self._model = 0, 0.0, 0.0, 0.0, 0.0  # flags, place, speed, stiffness, damping
         self._taken_in = 0.0  # by the program through this axis, -H [pJ]
         self._sent = self._received = self._wanted = 0
@@ -90,16 +90,18 @@ class WorldAxis:
         Raises:
             InputError: It is no finite number.
         """
-        self._taken_in += _number(f"World: {self._far.axis}: absorbed", "energy", energy, "a finite number [J]") / PICO
+        self._taken_in += (
+            number_in(f"World: {self._far.axis}: absorbed", "energy", energy, "a finite number [J]") / PICO
+        )
         self.tell()
 
     def _ask(self, what: str, flags: int, at: float, speed: float, stiffness: float, damping: float) -> None:
         place, most = f"World: {self._far.axis}: {what}", self._far.coupling
         for key, value in (("at", at), ("speed", speed)):
-            _number(place, key, value, "a finite number, at most 1e6 to either side", largest=1e6, least=-1e6)
+            number_in(place, key, value, "a finite number, at most 1e6 to either side", largest=1e6, least=-1e6)
         for key, value, limit in (("stiffness", stiffness, most.stiffness), ("damping", damping, most.damping)):
             text = f"0 to {limit:g} (far.coupling.{key} of {self._source}; raise it there, or ask for less)"
-            _number(place, key, value, text, least=0.0, largest=limit)
+            number_in(place, key, value, text, least=0.0, largest=limit)
         self._model = flags, float(at), float(speed), float(stiffness), float(damping)
         self.tell()
 
@@ -122,7 +124,9 @@ class WorldAxis:
         self._session.say(Packet(flags, 0, 0, *totals, at, speed, 0, stiffness, damping), may_begin=not stopping)
 
 
-def _number(place: str, key: str, value: object, expected: str, *, least: float = -1e9, largest: float = 1e9) -> float:
+def number_in(
+    place: str, key: str, value: object, expected: str, *, least: float = -1e9, largest: float = 1e9
+) -> float:
     """Return a number in a range.
 
     Raises:

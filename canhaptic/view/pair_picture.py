@@ -17,7 +17,7 @@ def draw_pair(first: EnergyLog, second: EnergyLog, path: str | Path) -> None:
 
     Args:
         first: An open energy log with a far side.
-        second: That of the other rig.
+        second: Energy log of the other rig.
         path: File to write.
 
     Raises:

@@ -8,6 +8,7 @@ import pytest
 
 import canhaptic
 from canhaptic.audit.recompute import recompute_all
+from canhaptic.cli.long_command import notes
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError, LinkError, SceneError
 from canhaptic.far.packet import ABOVE, BELOW, Packet
@@ -171,5 +172,9 @@ def test_a_world_without_its_rig_and_a_scene_without_a_world_are_refused(capsys)
     ):
         with pytest.raises(SceneError, match=text):
             load_scene(SCENE, [change])
+    for wrong, text in (({"rig": "here"}, "World: got 'here'.*or virtual"), ({"budget": -1.0}, "budget: got -1.0")):
+        with pytest.raises(InputError, match=text):
+            canhaptic.World(**{"rig": "virtual", "scene": SCENE, **wrong})  # type: ignore[arg-type]
+    assert "waits at 127.0.0.1:5577 for a program at 127.0.0.1:5578" in next(notes(load_scene(SCENE)))
     assert main(["run", SCENE]) == 2
     assert 'canhaptic.World("virtual")' in capsys.readouterr().err
