@@ -237,7 +237,11 @@ def _put_buses(scene: MarkedMapping, written: MarkedMapping, faults: Diagnostics
 def _further_bus(entry: MarkedMapping, faults: Diagnostics) -> MarkedMapping:
     entry = _of_its_kind(entry, faults)
     if entry.bus_kind != "can":
-        faults.add(entry.value_at("type"), "give the EtherCAT line first: its clock leads the cycle; there may be one")
+        text = (
+            "expected a CAN bus: a line comes first, since its clock leads the cycle, and there is one line in a rig: "
+        )
+        text += "the clock of a second would drift against it; put its drives on the first line"
+        faults.add(entry.value_at("type"), f"got {entry.bus_kind!r}, {text}")
         return entry.only(FurtherBus.model_fields)
     common = [key for key in entry if key in CanBusParameters.model_fields and key not in FurtherBus.model_fields]
     for key in common:

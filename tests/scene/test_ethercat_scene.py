@@ -15,6 +15,7 @@ from canhaptic.control.verdict import COUNTS_DISAGREE
 from canhaptic.cycle import run as run_cycle
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import HoldsContradictedError, InputError, SceneError
+from canhaptic.lab.studies.accuracy.loop_sensitivity import _delays
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay import replay_line
 from canhaptic.scene.build import build
@@ -106,6 +107,12 @@ def test_one_frame_a_cycle_costs_a_hold_and_the_verdict_is_still_right() -> None
     account, error = run(scene)[1:]
     assert error is None
     assert account["ports"]["handle"]["verdict"] == "yes"
+
+
+def test_a_study_of_accuracy_offers_another_rpdo_on_a_can_bus_alone() -> None:
+    on_line, on_can = (load_scene(path) for path in (SCENE, TWIN))
+    assert [variant.group for variant in _delays(on_can, on_can)] == ["RPDO"]
+    assert list(_delays(on_line, on_line)) == []
 
 
 def test_faults_of_the_line_are_counted_and_the_account_holds() -> None:
@@ -207,12 +214,19 @@ def test_faults_of_an_ethercat_line_are_refused_for_a_can_bus(effect: str) -> No
         load_scene(TWIN, [f"simulation.bus={{{effect}: 0.1}}"])
 
 
-def test_a_line_that_is_not_the_first_bus_is_refused() -> None:
+@pytest.mark.parametrize("first", ["can", "ethercat"])
+def test_a_line_that_is_not_the_first_bus_and_a_second_line_are_refused(first: str) -> None:
     scene = both()
-    scene["bus"].reverse()
-    scene["bus"][0]["rate"] = "1 kHz"
-    del scene["bus"][1]["rate"]
-    with pytest.raises(SceneError, match="give the EtherCAT line first"):
+    if first == "can":
+        scene["bus"].reverse()
+        scene["bus"][0]["rate"] = "1 kHz"
+        del scene["bus"][1]["rate"]
+    else:
+        scene["bus"][1]["type"] = "ethercat"
+    said = (
+        "a line comes first, since its clock leads the cycle, and there is one line in a rig.* put its drives on the fi"
+    )
+    with pytest.raises(SceneError, match=said):
         scene_from_mapping(scene, str(SCENE))
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.control.passivity import LITERATURE
+from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.can.bus_budget import bus_budget
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.clock import ProcessorClock
@@ -211,6 +212,8 @@ def hertz(rate: float) -> str:
 
 
 def _delays(base: Scene, whole: Scene) -> Iterator[Variant]:
+    if kind_of(base.bus) != "can":
+        return
     other = "event" if base.bus.rpdo == "synchronous" else "synchronous"
     bus = base.bus.model_copy(update={"rpdo": other})
     own = {a.parameters.name: _changed(a, {"delay": bus.delay, "torque_window": None}, {}) for a in base.axes}
@@ -530,7 +533,7 @@ def _ideal(scene: Scene, steps: int) -> Scene:
         return _with(axis, known, 1e3, delay=0, loop=loop.model_copy(update=ideal), sensor=sensor)
 
     finer = at_rate(axis_loop.under(scene, _PLAIN).permitted(), steps / scene.bus.sample_time)
-    bus = finer.bus.model_copy(update={"rpdo": "event"})  # a command acts at once
+    bus = CanBusParameters(rate=finer.bus.rate, rpdo="event")  # a command acts at once
     return replace(finer, bus=bus, axes=tuple(map(changed, finer.axes)))
 
 
