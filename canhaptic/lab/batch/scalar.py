@@ -13,7 +13,7 @@ other environment or plant is integrated by DOP853 on the textbook plant (`canha
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from math import nan
-from typing import Any, Final, cast
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from canhaptic.control.multi_axis.group_controller import GroupBalance
 from canhaptic.control.multi_axis.group_kernel import GroupMotion
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.drive.profile.admittance_parameters import ForceChannel
+from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import CanHapticError, ControlError, InputError
 from canhaptic.kernels import Run, with_quick_fields
 from canhaptic.lab import reference
@@ -244,26 +245,49 @@ def group_figures(meter: GroupMeter, metrics: Sequence[str] | None = None) -> di
     return {name: float(found[name][0]) if name in found else nan for name in names}
 
 
+class Figured(NamedTuple):
+    """Figures of a scene by the names of `ALL`, or of `DISPLAY_METRICS`."""
+
+    figures: dict[str, float]
+    is_compiled: bool = False
+    why_not: str = ""  # why the loop of several motors was not compiled
+
+
 def run_scalar(scene: Scene, cycles: int, metrics: Sequence[str] | None = None) -> dict[str, float]:
-    """Run one scene; return its figures by the names of `ALL`.
+    """Return the figures of `run_port` in Python."""
+    return run_port(scene, cycles, metrics).figures
+
+
+def run_port(
+    scene: Scene, cycles: int, metrics: Sequence[str] | None = None, engine: ChosenEngine = "python"
+) -> Figured:
+    """Run the first port of a scene.
 
     Args:
         scene: Scene with one group of axes, or with a simulated first axis, which is run.
         cycles: Number of SYNCs.
-        metrics: Names of `ALL`; None for `METRICS`, which need no continuous run.
+        metrics: Names of figures; NaN for those that this kind of axis does not have; None for those that need no
+            continuous run.
+        engine: Engine of the loop of several motors.
 
     Raises:
-        InputError: The axis is not simulated, or a metric needs a continuous run and there is none.
-        ParameterError: The algorithm needs a property of the loop that the scene does not give.
+        InputError: An axis is not simulated, or a metric needs a continuous run and there is none.
+        ParameterError: The controller cannot be built.
     """
-    if scene.groups:
-        return group_figures(group_meter(group_case(scene), cycles), metrics)
-    axis = scene.axes[0]
+    port = scene.ports[0]
+    if port.causality is not IMPEDANCE:
+        found = figures.figures_of(run_display(scene, cycles), scene)
+        return Figured({name: found.get(name, nan) for name in metrics or figures.DISPLAY_METRICS})
+    if port.section:
+        several = group_case(scene)
+        meter, is_compiled = group_meter(several, cycles, engine), engine == "numba" and not several.why_not
+        return Figured(group_figures(meter, metrics), is_compiled, several.why_not)
+    [axis] = port.axes
     case, names, continuous = axis_loop.loop_case(axis, scene), list(METRICS if metrics is None else metrics), None
     if any(name in CONTINUOUS for name in names):
         parts = axis_loop.plant_parts(axis)[:3]
         continuous = continuous_reference(case.environment, *parts, scene.bus.sample_time_ns, cycles)
-    return run_case(case, cycles, names, continuous)
+    return Figured(run_case(case, cycles, names, continuous))
 
 
 def run_case(
@@ -384,24 +408,6 @@ def run_display(scene: Scene, cycles: int) -> AdmittanceRun:
     return AdmittanceRun(
         run.rows, run.axes, run.ended, run.reason, run.engine, moved, control.controller.energy_resolution
     )
-
-
-def display_figures(
-    scene: Scene, cycles: int, metrics: Sequence[str] = tuple(figures.DISPLAY_METRICS)
-) -> dict[str, float]:
-    """Return the figures of one admittance display or group; NaN for figures that only impedance displays have.
-
-    Args:
-        scene: Simulated scene with only that axis or group.
-        cycles: Number of SYNCs.
-        metrics: Names of the figures.
-
-    Raises:
-        InputError: An axis is not simulated.
-        ParameterError: The controller cannot be built.
-    """
-    found = figures.figures_of(run_display(scene, cycles), scene)
-    return {name: found.get(name, nan) for name in metrics}
 
 
 def loop_settings(case: LoopCase, cycles: int) -> LoopSettings:

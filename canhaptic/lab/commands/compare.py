@@ -5,9 +5,9 @@ import argparse
 from canhaptic.cli.options import scene_of
 from canhaptic.errors import InputError
 from canhaptic.lab.commands.results import check_files, show, write_files
-from canhaptic.lab.loop.axis_loop import cycles_of, is_display
+from canhaptic.lab.loop.axis_loop import cycles_of
 from canhaptic.lab.render.comparison import comparison_report, draw_comparison, write_comparison_page
-from canhaptic.lab.studies.compare import compare, compared_algorithms
+from canhaptic.lab.studies.compare import compare, compared_algorithms, has_references
 from canhaptic.scene.method import plant_errors
 from canhaptic.view.terminal import run_progress, write_note
 
@@ -19,17 +19,15 @@ def execute(arguments: argparse.Namespace) -> int:
         InputError: A scene, an algorithm or a picture cannot be used.
     """
     scene = scene_of(arguments)
-    displays = is_display(scene)
+    is_drawn = has_references(scene)
     for line in plant_errors(scene):
         write_note(f"  {line}")
-    if arguments.png is not None and displays:
-        raise InputError("--png: for impedance displays; draw an admittance display with canhaptic run --png")
-    if arguments.png is not None and scene.groups:
-        raise InputError("--png: draws axes with their continuous run; draw a group with canhaptic run --png")
+    if arguments.png is not None and not is_drawn:
+        raise InputError("--png: draws torque axes with their continuous run; draw this one with canhaptic run --png")
     check_files(arguments)
     algorithms = compared_algorithms(scene, arguments.algorithms)
     total = cycles_of(scene, arguments.duration) * len(algorithms)
-    if not scene.groups and not displays:
+    if is_drawn:
         total = round(total * len(scene.axes) * (arguments.rate or scene.bus.rate) * scene.bus.sample_time)
     with run_progress(total, scene.bus.sample_time, "free") as progress:
         comparison = compare(

@@ -20,16 +20,16 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import CanHapticError, InputError, ParameterError, SceneConflictError, SceneError
 from canhaptic.lab.batch import ChosenEngine
 from canhaptic.lab.batch.cases import NotBatchableError, not_in_loop, why_not_batchable, why_not_compared
-from canhaptic.lab.batch.group_loop import group_case
 from canhaptic.lab.batch.marching import run_batch, spectral_radius
-from canhaptic.lab.batch.scalar import display_figures, group_figures, group_meter, run_scalar
+from canhaptic.lab.batch.scalar import run_port
 from canhaptic.lab.batch.varied import BATCH_KEYS
 from canhaptic.lab.figures.figures import ALL, DISPLAY_METRICS, METRICS, OUTCOMES
 from canhaptic.lab.loop import axis_loop
-from canhaptic.lab.loop.axis_loop import Array, UnderAlgorithm, is_display
+from canhaptic.lab.loop.axis_loop import Array, UnderAlgorithm
 from canhaptic.lab.studies.vary import CONTROLLER, Column, Points, Value, Varied, scene_seeds
 from canhaptic.scene.document import Diagnostics, MarkedList, MarkedMapping, parse_yaml
 from canhaptic.scene.layout import OWN_SECTIONS
@@ -300,11 +300,9 @@ USUAL: Final = (*METRICS, RADIUS)
 
 
 def usual_figures(scene: Scene) -> tuple[str, ...]:
-    """Return the default metrics of a sweep, for the kinds of displays in the scene."""
-    displays = [is_display(part) for part in axis_loop.parts_of(scene).values()]
-    if not any(displays):
-        return USUAL
-    return tuple(DISPLAY_METRICS) if all(displays) else tuple(dict.fromkeys((*USUAL, *DISPLAY_METRICS)))
+    """Return the default metrics of a sweep, for the ports of the scene."""
+    kinds = [USUAL if port.causality is IMPEDANCE else DISPLAY_METRICS for port in scene.ports]
+    return tuple(dict.fromkeys(name for kind in kinds for name in kind))
 
 
 STATUS: Final = ("pending", "completed", "refused", "failed", *OUTCOMES[1:])
@@ -472,7 +470,9 @@ class _Chunk:
             for name in self._recipe.axes:
                 scene = seeded(self._recipe, _alone(built, name), self._start + row)
                 try:
-                    figures, is_compiled, why_not = _figures_alone(self._recipe, scene, asked)
+                    figures, is_compiled, why_not = run_port(
+                        scene, cycles_in(self._recipe, scene), asked, self._recipe.engine
+                    )
                 except CanHapticError as error:
                     failure = str(error).splitlines()[0]
                     continue
@@ -501,18 +501,6 @@ def row_of(columns: Mapping[str, Column], row: int, keys: set[str] | None = None
 def _alone(built: UnderAlgorithm, name: str) -> Scene:
     """Return the scene with only one axis or group."""
     return axis_loop.parts_of(built.permitted())[name]
-
-
-def _figures_alone(recipe: Recipe, scene: Scene, asked: Sequence[str]) -> tuple[Mapping[str, float], bool, str]:
-    """Return the figures of one axis or group, whether its loop was compiled, and why a group's loop was not."""
-    cycles = cycles_in(recipe, scene)
-    if is_display(scene):
-        return display_figures(scene, cycles, asked), False, ""
-    if not scene.groups:
-        return run_scalar(scene, cycles, asked), False, ""
-    case = group_case(scene)
-    is_compiled = recipe.engine == "numba" and not case.why_not
-    return group_figures(group_meter(case, cycles, recipe.engine), asked), is_compiled, case.why_not
 
 
 def _remark_of(built: UnderAlgorithm, *, is_batched: bool = False) -> str:

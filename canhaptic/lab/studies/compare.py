@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canhaptic.control.verdict import passive_verdict
+from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
 from canhaptic.lab.batch.scalar import continuous_reference, render_by, render_group, work_of
@@ -100,18 +101,18 @@ def compare(
         InputError: Nothing is simulated, an algorithm is unknown, axes are of several kinds, or a rate is given with
             CAN.
     """
-    cases, displays = _cases(scene, algorithms), axis_loop.is_display(scene)
+    cases = _cases(scene, algorithms)
     if rate is not None:
-        _require_rate(scene, displays=displays, over_can=over_can)
+        _require_rate(scene, over_can=over_can)
         scene = axis_loop.at_rate(scene, rate)
         cases = [case._replace(scene=axis_loop.at_rate(case.scene, rate)) for case in cases]
     cycles, names = axis_loop.cycles_of(scene, duration), [case.algorithm for case in cases]
-    if not displays and not scene.groups:
-        return _of_axes(scene, cases, cycles, _counter(progress), None if over_can else engine, repeats)
-    if displays:
+    if axis_loop.is_display(scene):
         result = {**heading_of(scene, cycles), "axes": _over_can(scene, names, cycles, progress)}
-    else:
+    elif scene.groups:
         result = _of_groups(scene, names, cycles, "python" if over_can else engine, progress)
+    else:
+        return _of_axes(scene, cases, cycles, _counter(progress), None if over_can else engine, repeats)
     return Comparison(result, (), scene.bus.sample_time)
 
 
@@ -125,18 +126,16 @@ def _cases(scene: Scene, algorithms: Sequence[str | Case] | None) -> list[Case]:
     return list({case.shown: case for case in every}.values())
 
 
-def _require_rate(scene: Scene, *, displays: bool, over_can: bool) -> None:
-    """Refuse another rate for runs that use the drives of the scene.
+def has_references(scene: Scene) -> bool:
+    """Whether every port is one torque axis, which has a continuous run and a loop without a bus."""
+    return all(port.causality is IMPEDANCE and not port.section for port in scene.ports)
 
-    Raises:
-        InputError: The scene has displays or groups, or runs over CAN.
-    """
-    if displays:
-        raise InputError("--rate: for impedance displays; for admittance displays use --set bus.rate=...")
-    if scene.groups:
-        raise InputError("--rate: works for scenes without groups; for this one use --set bus.rate=...")
-    if over_can:
-        raise InputError("--rate: changes the loop without a bus; with --can, use --set bus.rate=...")
+
+def _require_rate(scene: Scene, *, over_can: bool) -> None:
+    """Refuse another rate for runs that use the drives of the scene; raise InputError."""
+    if over_can or not has_references(scene):
+        text = "--rate: changes the loop without a bus, of torque axes outside groups"
+        raise InputError(f"{text}; for this comparison use --set bus.rate=...")
 
 
 def _counter(progress: Progress | None) -> Callable[[], None]:

@@ -143,7 +143,7 @@ def _scene(table: SweepTable, axis: str, controller: str, allow_code: bool) -> S
     """Return the scene of one axis under an algorithm, without varied values."""
     overrides = json.loads(table.note("overrides"))
     scene = scene_from_text(table.note("scene"), table.note("source"), overrides, allow_code=allow_code)
-    chosen = next(one for one in scene.axes if axis in (one.parameters.name, one.group))
+    chosen = next(one for one in scene.axes if axis in (one.parameters.name, one.port))
     if controller:
         scene = scene.with_port(with_algorithm(scene.port_of(chosen), controller))
     return replace(scene, axes=(scene.axis(chosen.parameters.name),))

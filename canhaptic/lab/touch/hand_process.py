@@ -15,10 +15,11 @@ import os
 import select
 import signal
 import socket
-from collections.abc import Callable, MutableSequence
+from collections.abc import Callable, Mapping, MutableSequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
-from typing import Any, Literal, NamedTuple, cast
+from operator import attrgetter
+from typing import Any, Final, Literal, NamedTuple, cast
 
 import numpy as np
 
@@ -86,7 +87,7 @@ def columns(touched: TouchScene) -> list[str]:
     `force` is the force on the hand; for an admittance display, the force of the hand as its sensor measures it.
     """
     names = ["time", "token", *(f"hand.{d}" for d in touched.directions)]
-    parts = ("position", "force") + ("velocity", "command") * touched.is_display + ("angle",) * bool(touched.links)
+    parts = ("position", *touched.readings.vectors, *(("angle",) if touched.links else ()))
     for number in range(len(touched.sides)):
         names += [f"{number}.{what}.{d}" for what in parts for d in touched.directions]
         names.append(f"{number}.energy")
@@ -102,6 +103,13 @@ def work(pipe: Connection, shared: SharedNumbers) -> None:
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             _HandRun(pipe.recv(), pipe, shared).run()
+
+
+_READ: Final[Mapping[str, Callable[[Any], float]]] = {
+    "velocity": attrgetter("motor.velocity"),
+    "command": attrgetter("torque"),
+}
+"""Vector beside the force -> its reading from a servo."""
 
 
 class _HandRun:
@@ -142,7 +150,7 @@ class _HandRun:
             for side, axes in zip(touched.sides, self._axes, strict=True)
         ]
         self._start = self._clock.now()
-        self._is_display, self._has_links = touched.is_display, bool(touched.links)
+        self._readings, self._has_links = touched.readings, bool(touched.links)
         if experiment.far_side is None:
             raise InputError("touch: got drives outside this process, expected simulated drives")
         self._servos = [[experiment.far_side.drives[axis].servo for axis in axes] for axes in self._axes]
@@ -186,15 +194,14 @@ class _HandRun:
         samples, row = rig.records[-1].samples, [cycles * self._period, self._shared[TOKEN], *self._place]
         for side, axes in enumerate(self._axes):
             place = [samples[axis].position for axis in axes]
-            efforts = [(-1.0 if self._is_display else 1.0) * samples[axis].torque_applied for axis in axes]
+            efforts = [self._readings.sign * samples[axis].torque_applied for axis in axes]
             if self._has_links:
                 linkage = cast("Any", self._servos[side][0].motor).shared.mechanism
                 row += [*linkage.handle, *linkage.force_of(efforts), *place]
             else:
                 row += [*place, *efforts]
-            if self._is_display:
-                servos = self._servos[side]
-                row += [servo.motor.velocity for servo in servos] + [servo.torque for servo in servos]
+            for read in map(_READ.__getitem__, self._readings.vectors[1:]):
+                row += [read(servo) for servo in self._servos[side]]
             energy = sum(judge.interaction[place] for place in self._accounts[side])
             self._least[side] = min(self._least[side], energy)
             row.append(energy)

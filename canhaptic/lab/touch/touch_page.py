@@ -125,8 +125,8 @@ class _SideView:
         x, y = ([at] for at in (*touched.start, 0.0)[:2])
         handle = {"x": x, "y": y, "hand_x": x, "hand_y": y, "token": [0.0], "frame": [0]} | five_bar()
         self.handle = models.ColumnDataSource(handle, name=f"handle {number}")
-        vectors = ("force", *("velocity", "command") * touched.is_display)
-        self._columns = {f"{vector} {d}": f"{number}.{vector}.{d}" for vector in vectors for d in touched.directions}
+        every = ((vector, d) for vector in touched.readings.vectors for d in touched.directions)
+        self._columns = {f"{vector} {d}": f"{number}.{vector}.{d}" for vector, d in every}
         self._columns["energy"] = f"{number}.energy"
         self._lines = models.ColumnDataSource({name: [] for name in ("time", *self._columns)}, name=f"lines {number}")
         self._verdict = models.Div(text="", name=f"verdict {number}", sizing_mode="stretch_width")
@@ -134,8 +134,8 @@ class _SideView:
         scene = self._new_scene(pointer)
         self.draw_notches(0.0)
         self.panels = [self._panel("force" if touched.unit == "m" else "torque", effort_unit(touched.unit), "force")]
-        if touched.is_display:
-            self.panels.append(self._panel("velocity", f"{touched.unit}/s", "command", "velocity"))
+        for vectors in touched.readings.beside:
+            self.panels.append(self._panel(vectors[-1], f"{touched.unit}/s", *vectors))
         self.panels.append(self._panel("energy", "J", "energy"))
         self.panels[-1].add_layout(models.Span(location=0.0, dimension="width", line_color=GREY, line_dash="dashed"))
         title = models.Div(text=f"<b style='font-size:1.3em;color:{colour}'>{html.escape(self._name)}</b>")
@@ -203,10 +203,7 @@ class _SideView:
 
     def _label(self, vector: str, direction: str = "") -> str:
         """Return the legend of a line."""
-        at = int(self._touched.is_display)
-        texts = {"force": ("on the hand", "of the hand"), "velocity": ("handle",) * 2,
-                 "energy": ("taken in by the wall", "into the display, at the sensor")}  # fmt: skip
-        text = texts[vector][at] if vector in texts else vector
+        text = self._touched.readings.labels.get(vector, vector)
         return f"{text} {direction}".rstrip() if self._touched.is_plane else text
 
     def take(self, news: TouchNews, frame: int) -> None:
@@ -241,7 +238,7 @@ class _SideView:
             return
         least, allowance = status.least[self._number], self._touched.sides[self._number].allowance
         passive, _ = passive_verdict(least + allowance + PASSIVE_TOLERANCE)
-        of: Any = {"passive_at_sensor" if self._touched.is_display else "passive": passive}
+        of: Any = {self._touched.readings.verdict: passive}
         verdict = verdict_bar({self._name: of})
         allowed = f", it may {si(allowance, 'J')}" if allowance else ""
         self._verdict.text = f"{verdict}<div>gave out {si(max(0.0, -least), 'J')} more than it took in{allowed}</div>"
@@ -266,7 +263,7 @@ class _Controls:
         )
         self._delay = models.RadioButtonGroup(
             labels=list(_DELAYS.values()), active=list(_DELAYS).index(bus.rpdo), name="delay",
-            disabled=touched.is_display,
+            disabled=not touched.readings.has_delay,
         )  # fmt: skip
         again = models.Button(label="start again", name="again")
         again.on_click(lambda: self._moved("", None, None))

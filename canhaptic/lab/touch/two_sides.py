@@ -5,7 +5,7 @@ belong to one simulated rig with a CAN bus each, or a line for both, and the sam
 affects both alike. The link timeouts are long: nothing real moves, and a busy browser must not end the run.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any, Final, NamedTuple
@@ -55,6 +55,27 @@ class TouchSlider(NamedTuple):
     decades: float  # logarithmic range up and down from the value; 0: linear, from 0 to five times the value
 
 
+class Readings(NamedTuple):
+    """What a page shows of a handle over time."""
+
+    vectors: tuple[str, ...]  # in each direction; the force first
+    beside: tuple[tuple[str, ...], ...]  # of them, those of each further panel
+    sign: float  # of the force shown, over that of a sample
+    labels: Mapping[str, str]  # vector, or the energy -> its name in the legend
+    verdict: str  # what is judged
+    has_delay: bool  # whether the page can change the delay
+
+
+_OF_TORQUES: Final = Readings(
+    ("force",), (), 1.0, {"force": "on the hand", "energy": "taken in by the wall"}, "passive", has_delay=True
+)
+_OF_VELOCITIES: Final = Readings(
+    ("force", "velocity", "command"), (("command", "velocity"),), -1.0,
+    {"force": "of the hand", "velocity": "handle", "energy": "into the display, at the sensor"},
+    "passive_at_sensor", has_delay=False,
+)  # fmt: skip
+
+
 @dataclass(frozen=True, slots=True)
 class TouchScene:
     """The scene that `touch` runs: both handles on one rig, and what the page shows; places in [m or rad]."""
@@ -69,7 +90,7 @@ class TouchScene:
     path: tuple[tuple[float, ...], ...] = ()  # corners of one that guides the handle in a plane; empty: none
     discs: tuple[tuple[float, ...], ...] = ()  # in a plane: centre x, y and radius of each [m]
     links: tuple[float, ...] = ()  # of a five-bar: half the distance of the motors, a proximal link [m]; empty: none
-    is_display: bool = False  # whether the handles are admittance displays: force in, velocity out
+    readings: Readings = _OF_TORQUES  # what the page shows of each handle over time
     notches: tuple[float, ...] = ()  # place of a notch of detents, and their pitch; empty: no detents
 
     @property
@@ -252,7 +273,8 @@ def two_sides(scene: Scene, axis: str | None = None) -> TouchScene:
     )
     mechanisms = [_held(of, port.axes, side, shape["start"]) for side in sides for of in alone.mechanisms]
     rig = on_two_buses(scene, axes, sides, groups=groups, mechanisms=tuple(mechanisms))
-    return TouchScene(rig, sides, is_display=port.causality is not IMPEDANCE, **shape)
+    readings = _OF_TORQUES if port.causality is IMPEDANCE else _OF_VELOCITIES
+    return TouchScene(rig, sides, readings=readings, **shape)
 
 
 # --- along an axis ------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import CheckFailedError
-from canhaptic.lab.batch.scalar import display_figures
+from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.studies.design import search
 from canhaptic.lab.studies.design.search import design_displays
 from canhaptic.scene.load import load_scene
@@ -31,7 +31,7 @@ def test_the_mass_is_felt_as_asked_and_a_lighter_one_is_not(
     assert found["mass"] < 1.1 * found["never_acts"]
     assert f"mass: {found['mass']:g} kg" in result["yaml"]["handle"]
     lighter = load_scene(NODE, [f"environment.mass={0.5 * found['mass']} kg"])
-    assert display_figures(lighter, 1000, ["mass_felt.share"])["mass_felt.share"] > 1.05
+    assert run_scalar(lighter, 1000, ["mass_felt.share"])["mass_felt.share"] > 1.05
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.lab.batch.scalar import display_figures, run_display
+from canhaptic.lab.batch.scalar import run_display, run_scalar
 from canhaptic.lab.figures.figures import DISPLAY_METRICS
 from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt
 from canhaptic.lab.loop.axis_loop import parts_of
@@ -51,7 +51,7 @@ def test_a_light_mass_gives_energy_out_unless_it_is_guarded() -> None:
     found = {}
     for name in ("guarded", "unprotected"):
         given = [f"passivity={{algorithm: {name}}}"] if name == "unprotected" else []
-        found[name] = display_figures(load_scene(MASS, [*changes, *given]), 200)
+        found[name] = run_scalar(load_scene(MASS, [*changes, *given]), 200)
     assert found["unprotected"]["least_interaction"] < -0.1
     assert found["guarded"]["least_interaction"] >= -1e-3
     assert found["guarded"]["guard_acts"] > 0.1
@@ -59,7 +59,7 @@ def test_a_light_mass_gives_energy_out_unless_it_is_guarded() -> None:
 
 def test_a_force_beyond_the_range_ends_a_run() -> None:
     scene = load_scene(MASS, ["axes.0.admittance.force.range=2 N"])
-    found = display_figures(scene, 1000, ["diverged", "cycles", "stiffness_rendered.share"])
+    found = run_scalar(scene, 1000, ["diverged", "cycles", "stiffness_rendered.share"])
     assert found["diverged"] == 1.0
     assert found["cycles"] < 1000
     assert math.isnan(found["stiffness_rendered.share"])  # of impedance displays
@@ -93,8 +93,8 @@ def test_a_group_of_displays_is_swept(capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_every_figure_is_measured_and_a_heavy_mass_is_felt_as_it_is() -> None:
     scene = load_scene(MASS)
-    assert set(display_figures(scene, 40)) == set(DISPLAY_METRICS)
-    heavy = display_figures(load_scene(NODE, ["environment.mass=6 kg", "environment.lower_wall=-1 m"]), 600)
+    assert set(run_scalar(scene, 40)) == set(DISPLAY_METRICS)
+    heavy = run_scalar(load_scene(NODE, ["environment.mass=6 kg", "environment.lower_wall=-1 m"]), 600)
     assert heavy["mass_felt.share"] == pytest.approx(1.0, abs=0.1)
 
 

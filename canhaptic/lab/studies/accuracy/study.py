@@ -22,6 +22,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from canhaptic.drive.clock import ProcessorClock
+from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.batch import Engine
 from canhaptic.lab.judge.solvers import NotSolvedError
@@ -86,7 +87,7 @@ def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
         raise InputError(f"{scene.source}: got axis {name!r}, expected one of: {', '.join(parts)}")
     if axis is not None and not axis.group:
         require_own_axis(axis, scene)
-    chosen = str(name if axis is None else axis.group or axis.parameters.name)
+    chosen = str(name if axis is None else axis.port)
     return StudiedPart(chosen, parts[chosen])
 
 
@@ -174,8 +175,8 @@ def study_accuracy(
     Raises:
         InputError: No axis or group has this name, or it is not simulated.
     """
-    studied = next((of for of in scene.axes if axis in (None, of.parameters.name, of.group)), None)
-    if studied is not None and studied.parameters.admittance is not None:
+    studied = next((of for of in scene.axes if axis in (None, of.parameters.name, of.port)), None)
+    if studied is not None and studied.parameters.causality is not IMPEDANCE:
         return loop_sensitivity.study_display(
             scene, axis, duration, stop, lambda share: progress and progress(round(UNITS * share))
         )

@@ -29,7 +29,7 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CheckFailedError, InputError
 from canhaptic.files import scene_title
 from canhaptic.lab.batch import Engine
-from canhaptic.lab.batch.scalar import display_figures
+from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.loop.axis_loop import Array, is_display, parts_of, require_design_room
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.chunk import places_of
@@ -313,7 +313,7 @@ class _MassTrial:
         cycles = round(_MASS_DURATION / self._scene.bus.sample_time)
         scene = _with_mass(self._scene, mass)
         hands = [tuple(replace(axis, simulation=_held(axis, *hand)) for axis in scene.axes) for hand in _HANDS]
-        return [display_figures(replace(scene, axes=axes), cycles, _MASS_METRICS) for axes in hands]
+        return [run_scalar(replace(scene, axes=axes), cycles, _MASS_METRICS) for axes in hands]
 
     def passes(self, figures: list[_Figures]) -> bool:
         """Whether every hand feels the requested mass and no energy is generated."""
