@@ -134,7 +134,7 @@ def stop_of(scene: Scene, ports: Sequence[Port], *, dry_run: bool) -> BookedStop
     """Return the holds of a stop as the run made them, by the state of the ports."""
     axes, time = [axis.parameters for axis in scene.axes], scene.bus.sample_time
     to_act = 2 + max(  # as `Rig.holds_to_act`
-        axis.loop.delay + (0 if axis.parameters.admittance else ceil(lateness_of(axis) / time)) for axis in scene.axes
+        axis.loop.delay + ceil(lateness_of(axis) / time) for axis in scene.axes
     )
     return BookedStop(ports, axes, scene.bus, to_act, dry_run=dry_run)
 

@@ -60,7 +60,7 @@ def execute(arguments: argparse.Namespace) -> int:
         if session.report.failed:
             text = f"{out}: the commissioning failed, so nothing was run: {'; '.join(missing)}"
             raise InputError(f"{text}; mend this with canhaptic commission, then choose a new folder")
-        if all(axis.parameters.admittance is None for axis in own.axes):
+        if not any(axis.parameters.causality.holds for axis in own.axes):
             _run(own, "dry_run", arguments, dialogue, stop)
         if stop.requested():
             return _stopped(out, stop)

@@ -28,7 +28,7 @@ def notes(scene: Scene) -> Iterator[str]:
         yield f"{text}(scene={str(scene.source)!r}); until it comes, and after it has gone, the handle is free"
     for axis in scene.axes:
         given, limit = axis.parameters, axis.loop.torque_limit or 0.0
-        if limit < given.torque_limit and given.admittance is None:
+        if limit < given.torque_limit and not given.causality.holds:
             text = f"{given.name}: torque scale not verified (torque_verified: no), so the torque is limited to"
             yield f"{text} {limit:.3g} {effort_unit(given.unit)}, 1 % of torque_limit; canhaptic commission verifies it"
     if scene.simulation is None:

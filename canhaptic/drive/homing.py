@@ -114,8 +114,8 @@ def require_homing(axis: AxisParameters, dictionary: ObjectDictionary, order: Ho
         InputError: The order is refused; the text names place, value and remedy.
     """
     name = axis.name
-    if axis.admittance is not None:
-        raise InputError(f"{name}: an admittance display is not homed here; home it with the vendor's tool")
+    if axis.causality.holds:
+        raise InputError(f"{name}: {axis.causality.kind} is not homed here; home it with the vendor's tool")
     if not axis.watchdog:
         raise InputError(f"{name}: watchdog: false: a killed program would leave the axis moving; set watchdog: true")
     if order.method not in METHODS:

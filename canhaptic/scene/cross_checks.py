@@ -151,8 +151,8 @@ def _faults_of_hold(of: _Checked) -> Iterator[tuple[str, str]]:
 def _why_unchecked(of: _Checked) -> str:
     """Return why no test at a start can find the hold of an axis, with the remedy; empty if one can."""
     axis = of.axis
-    if axis.parameters.admittance is not None:
-        return "of a drive that holds a velocity; leave it out"
+    if holds := axis.parameters.causality.holds:
+        return f"of a drive that holds {holds}; leave it out"
     if axis.loop.moving_mass is None:
         return "without moving_mass, which keeps its motion small; declare it (canhaptic commission measures it)"
     if axis.parameters.torque_verified == "no" and of.is_real:

@@ -12,7 +12,7 @@ Every value keeps its location in the file. Faults of the layout are noted here;
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
 
@@ -277,16 +277,15 @@ def _axes(
     entries = faults.list(written.get("axes"), at, "axes, each with name, node_id, eds, ...")
     if entries is not None and not entries:
         faults.add(at, "got an empty list, expected at least one axis")
-    axes: list[Any] = []
+    axes, joined = list[Any](), {name: group for group in groups for name in group.axes}
     for entry, entry_at in () if entries is None else entries.items_at():
         section = faults.mapping(entry, entry_at, "name, node_id, eds, ...")
         if section is None:
             axes.append(NOTED)
             continue
         name = str(section.get("name"))
-        group = next((group for group in groups if name in group.axes), None)
         section.bus_kind = _kind_of_axis(section, written)
-        axis = _axis(section, written, group, faults, is_known=is_known)
+        axis = _axis(section, written, joined.get(name), faults, is_known=is_known)
         if buses:
             axis["bus"] = _bus_of_axis(section, buses, faults)
         if simulation is not None:
@@ -294,7 +293,7 @@ def _axes(
 
             put_far_side(axis, name, simulation, any(name in moved.axes for moved in mechanisms), faults)
         axes.append(axis)
-    _check_names(written, simulation, groups, faults)
+    _check_names(written, simulation, joined, faults)
     return axes
 
 
@@ -387,11 +386,11 @@ def _loop_in_group(section: MarkedMapping, group: "Members", faults: Diagnostics
 
 
 def _check_names(
-    written: MarkedMapping, simulation: MarkedMapping | None, groups: "Sequence[Members]", faults: Diagnostics
+    written: MarkedMapping, simulation: MarkedMapping | None, joined: Collection[str], faults: Diagnostics
 ) -> None:
     """Note names of unknown axes, and shared sections that are unused because every axis is in a group."""
     names = _axis_names(written)
-    if groups and names and all(any(name in group.axes for group in groups) for name in names):
+    if names and joined and all(name in joined for name in names):
         for key in OWN_SECTIONS:
             if written.get(key) is not None:
                 faults.add(written.keys_at[key], "every axis is in a group; give it in the group, or leave it out")

@@ -286,10 +286,11 @@ def for_program(scene: Scene, guard: str) -> Scene:
             f"{scene.source}: far: {scene.far.axis}: a far side has this axis, and no program may request its torques"
         )
         raise InputError(f"{text}; take `far` out of the scene, or run it with `canhaptic run`")
-    for axis in scene.axes:
-        what = "renders in a group" if axis.group else "is an admittance display" if axis.parameters.admittance else ""
-        if what:
-            text = f"{scene.source}: {axis.parameters.name}: {what}; a program requests torques of single axes"
+    for port in scene.ports:
+        if port.section or port.causality.holds:
+            text = (
+                f"{scene.source}: {port.name}: is no torque axis by itself; a program requests torques of single axes"
+            )
             raise InputError(f"{text}: take the axis out of the group, or render an environment with `canhaptic run`")
     axes = tuple(_for_program(axis, guard) for axis in scene.axes)
     if scene.run.guard is not None:

@@ -521,11 +521,11 @@ class Scene:
         return next(bus.parameters for bus in self.buses if bus.name == axis.bus)
 
     def hold_of(self, axis: AxisScene) -> str:
-        """Return what is known before a start of the hold in which the torques of an axis act; "" of a display."""
+        """Return what is known before a start of the hold in which the torques of an axis act; "" without torques."""
         given, twin = axis.parameters, axis.simulated_drive
         if axis.simulation is not None:
             twin = axis.simulation.drive
-        if given.admittance is not None:
+        if given.causality.holds:
             return ""
         if not self.simulated or twin is None or given.hold_checked or given.check_hold:
             return NOT_CHECKED  # so far
@@ -682,8 +682,8 @@ def values_to_set(scene: Scene) -> list[Guess]:
     for axis in scene.axes:
         given = axis.parameters
         missing += [f"{given.name}.{key}" for key in _REQUIRED if getattr(given, key) is None]
-        if given.admittance and given.torque_verified == "no" and verifies:
-            missing.append(f"{given.name}.torque_verified")  # a drive that holds a velocity takes the torque it needs
+        if given.causality.holds and given.torque_verified == "no" and verifies:
+            missing.append(f"{given.name}.torque_verified")  # it takes the torque that it needs
     return [
         *marked,
         *(Guess(0, key, "", "missing") for key in missing),

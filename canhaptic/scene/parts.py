@@ -213,7 +213,9 @@ def _axis_meter(axis: AxisScene, scene: Scene) -> AxisMeter:
 
 
 def lateness_of(axis: AxisScene) -> float:
-    """Return the longest time from a hold's begin until its torque has settled [s]."""
+    """Return the longest time from a hold's begin until its torque has settled [s]; 0 where no torque is sent."""
+    if axis.parameters.causality.holds:
+        return 0.0
     return (axis.loop.torque_window or 0.0) + _SETTLED * (axis.loop.current_lag or 0.0)
 
 
@@ -235,7 +237,7 @@ def build_servo_drive(
     known, dictionary = axis.parameters, axis.parameters.dictionary()
     if dry_run:
         require_torque_axis(axis)
-    if known.admittance is None:
+    if not known.causality.holds:
         known = known.model_copy(update={"torque_limit": axis.loop.torque_limit})  # less if not verified
     drive_on = part(kind_of(bus), "drive")
     return drive_on(line, known, dictionary, bus, dry_run=dry_run, lateness=lateness_of(axis))
@@ -247,8 +249,6 @@ def require_torque_axis(axis: AxisScene) -> None:
     Raises:
         InputError: It is an admittance display.
     """
-    if axis.parameters.admittance is not None:
-        raise InputError(
-            f"{axis.parameters.name}: an admittance display cannot run without torque: its drive holds zero velocity "
-            "with its full torque; leave --no-torque out, and lower speed_limit and admittance.acceleration_limit"
-        )
+    if holds := axis.parameters.causality.holds:
+        text = f"{axis.parameters.name}: {axis.parameters.causality.kind} cannot run without torque: its drive holds"
+        raise InputError(f"{text} {holds}; leave --no-torque out, and lower speed_limit and acceleration_limit")

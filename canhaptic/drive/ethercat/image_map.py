@@ -99,7 +99,7 @@ def image_findings(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[F
 
 
 def _read_back(dictionary: Dictionary, axis: TorqueAxisParameters) -> tuple[ReadBack, Entry | None]:
-    if axis.admittance is not None:
+    if axis.causality.reads:
         if (found := force_object(dictionary, axis)) is None:
             text = "admittance.force.node is a node of a CAN bus, expected force.object, an object of the drive"
             raise DictionaryError(f"{axis.name}: {text}; connect the sensor to the drive, or put the axis on a CAN bus")

@@ -128,6 +128,7 @@ class AdmittanceParameters(Parameters):
     unseen: ClassVar[str] = ""
     extremes: ClassVar[tuple[int, ...]] = ()  # the limits of a velocity are in its own counts
     needs_limit: ClassVar[bool] = True
+    holds: ClassVar[str] = "zero velocity with its full torque"
     reads: ClassVar[Literal["", "none"]] = "none"
 
     @property

@@ -33,6 +33,7 @@ class Impedance:
         extremes: Commands that type and limits of the target must take [largest torques].
         limit_in_drive: Whether the drive keeps the limit of the torque where the start cannot write it.
         needs_limit: Whether a real drive is refused where neither does.
+        holds: What the drive holds against a hand without a command of the master; "": nothing.
         reads: Torque that is read back in any case; "": the one that the axis asks for.
         force: The force sensor: `place`, (index, subindex) of an object of the drive, or `node`, one of its own.
     """
@@ -46,6 +47,7 @@ class Impedance:
     unseen = "none: a lost or old torque, and one of another size or sign, is neither stopped nor in the account"
     extremes: tuple[int, ...] = (0, 1, -1)
     limit_in_drive = needs_limit = False
+    holds = ""
     reads: Literal["", "none"] = ""
     force = _NoForce
 

@@ -33,7 +33,7 @@ from canhaptic.sim.drive.can.sdo_server import SdoServer
 from canhaptic.sim.drive.profile import emergency as emcy
 from canhaptic.sim.drive.profile.object_store import ObjectStore
 from canhaptic.sim.drive.profile.reactions import Reactions
-from canhaptic.sim.drive.profile.servo import Motor, Servo
+from canhaptic.sim.drive.profile.servo import Motor, Servo, servo_of
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.profile.timers import TimedDrives, Timers
 
@@ -115,13 +115,8 @@ class SimulatedDrive:
 
     def _servo_and_sensor(self, motor: Any, parameters: SimulatedDriveParameters) -> "tuple[Servo, SensorNode | None]":
         """Return the power stage, and the force sensor of an admittance display with its own node."""
-        display = parameters.display
-        if display is None:
-            return Servo(self.store, motor, parameters), None
-        from canhaptic.sim.drive.profile.admittance_servo import AdmittanceServo
-
-        servo = AdmittanceServo(self.store, motor, parameters)
-        if display.force_node is None:
+        servo, display = servo_of(self.store, motor, parameters), parameters.display
+        if display is None or display.force_node is None:
             return servo, None
         from canhaptic.sim.drive.can.sensor_node import SensorNode
 

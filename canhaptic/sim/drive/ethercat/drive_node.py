@@ -4,7 +4,7 @@ At SYNC0 of its own clock it samples the position and the torque held, shows the
 outputs that came since the SYNC0 before. It shares with the master only constants of the object dictionary.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects
 from canhaptic.canopen.objects import DataType, Dictionary
@@ -18,7 +18,7 @@ from canhaptic.sim.drive.ethercat.process_image import ProcessImage
 from canhaptic.sim.drive.profile import emergency as emcy
 from canhaptic.sim.drive.profile.object_store import ObjectStore
 from canhaptic.sim.drive.profile.reactions import Reactions
-from canhaptic.sim.drive.profile.servo import Motor, Servo
+from canhaptic.sim.drive.profile.servo import Motor, servo_of
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.profile.timers import Timers
 
@@ -78,7 +78,7 @@ class EthercatDrive:
         absent = parameters.absent_places()
         self.store = store = ObjectStore(dictionary, parameters.object_values(), absent, parameters.refused_values())
         store.guard_storage()
-        self.servo = _servo_of(store, motor, parameters)
+        self.servo = servo_of(store, motor, parameters)
         self.al_state, self.holds, self._sample_time = _INIT, 0, sample_time_ns
         self.timers = timers = Timers()
         self._outbox: list[bytes] = []
@@ -359,11 +359,3 @@ class EthercatDrive:
 
     def _sync_period(self) -> int:
         return self._clock.period or self._sample_time
-
-
-def _servo_of(store: ObjectStore, motor: Any, parameters: SimulatedDriveParameters) -> Servo:
-    if parameters.display is None:
-        return Servo(store, motor, parameters)
-    from canhaptic.sim.drive.profile.admittance_servo import AdmittanceServo
-
-    return AdmittanceServo(store, motor, parameters)
