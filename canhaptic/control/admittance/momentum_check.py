@@ -1,23 +1,10 @@
 """Check of the measured force of an admittance display against the momentum of what its drive moves.
 
-The momentum of the force, for the mass that the drive moves:
-
-    F = M v' + c (v - r) - k lead + friction
-
-Encoder and commands give the right side, up to the declared bounds of the drive; the sensor gives the left. Both are
-averaged with a triangular weight, which rises for a time H and falls for H. The mean of v' is then
-(q_2 - 2 q_1 + q_0) / H^2, without differentiating the encoder twice. With abs(F') <= L, abs(v') <= A and an encoder
-count e, the means differ by at most
-
-    error + L T^2 / 6H + friction + damping (mean of abs(v) + A T / 4)
-    + c (A T^2 / 6H + e / H) + k (e + A T^2 / 8) + 2 M e / H^2      and half the range of M, c and k times their terms;
-
-the terms in T^2 / 6H come from a weight that changes inside a hold. Point samples add the error of `port`. A SYNC
-that comes early or late by up to j T shifts a weight, which costs j T / H (2 max + total change), of the force and c
-times of the command. A constant offset o of the sensor gives out o times the distance moved until it is noticed,
-and never more than o times the range between the position limits.
-If the friction of the drive is unknown, an offset of the sensor looks like a push of the hand. So nothing is compared
-without declared friction, nor if the torque of the drive may have been at its limit.
+Encoder and commands give the momentum, up to the declared bounds of the drive; the sensor gives the force: D8 of
+`docs/theory/commands_of_a_display.md`. A constant offset o of the sensor gives out o times the distance moved until it
+is noticed, and never more than o times the range between the position limits. If the friction of the drive is unknown,
+an offset of the sensor looks like a push of the hand. So nothing is compared without declared friction, nor if the
+torque of the drive may have been at its limit.
 """
 
 from collections import deque

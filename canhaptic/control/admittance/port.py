@@ -4,18 +4,7 @@ Energy INTO the display is positive: F dq, with F the force of the hand on the m
 -F as its `torque_applied`, the force of the display on the hand, so that eq. 2 of the paper is valid for both kinds of
 display.
 
-One hold of length H, with abs(F') <= L and abs(v') <= A:
-
-    mean of F over the hold     F dq                 off by at most  L A H^3 / 12
-    F at both ends              (F_0 + F_1) dq / 2   off by at most  w (L^2 H^2 - dF^2) / 4L + abs(dF) A H^2 / 12
-
-with w = abs(dq) / H + A H / 2 the largest speed. The first is Chebyshev's bound of the covariance of two functions of
-bounded slope. For the second, F differs from its chord by e(t) with e = 0 at both ends and abs(F') <= L, so that
-integral abs(e) <= (L^2 H^2 - dF^2) / 4L; the chord's slope dF / H against v is the first bound again.
-A filter of first order, F = F_f + F_f' / w_f, adds dF_f dq / (w_f H), off by at most L A H^2 / 4 w_f.
-An error eps of the force costs eps abs(dq). The encoder's error of half a count at each end, summed by parts, costs
-half a count times the change of the force; its share for the last force is charged now and refunded in the next hold.
-If another proof replaces the booked energy, that share stays charged (`Port.reopen`).
+The energy of a hold and its error: D7 of `docs/theory/commands_of_a_display.md`.
 """
 
 from dataclasses import dataclass, field

@@ -1,26 +1,8 @@
 """Certificate by the drive's velocity loop: the largest speed that may be commanded, for every hand.
 
-The drive moves the mass before the sensor, M v' = f_m + F - friction, by f_m = c (r - v) + f_I with f_I' = k (r - v).
-r is the command. With r = 0 the hand can take out V = M v^2 / 2 + f_I^2 / 2k, and
-
-    (E - V)' = friction v - c (r - v) v - f_I r,         E' = F v
-
-so that W = E - V never falls at r = 0. Over a sequence of commands r(s) of length H, with f_0 the value of f_I at its
-start and rho(s) the integral of r from s to H, W falls by at most (maximum over every motion v)
-
-    f_0 R + k R^2 / 4 + (c / 4) int r^2 + (k^2 / 4c) int rho^2,     R = int r
-
-(complete the square in v; int r rho = R^2 / 2). Within a hold this is convex in H, so that its largest value is at a
-SYNC. If the queued commands and the new one satisfy `loss <= W + allowance`, E stays >= -allowance for every hand:
-after any motion in the first hold, the rest of the sequence satisfies the condition again. A command of 0 adds no loss
-and is always certified. So is any command between 0 and a certified one, because the loss is convex in the command.
-
-W has two lower bounds, and the larger counts: by the force, E less the largest V; and by the encoder alone,
-(E - V)' >= c v (v - r) - f_I r over a hold with known displacement and command.
-
-Friction is not counted; it only lowers the loss. At a torque limit the loss without an integral is smaller still, and
-so is the energy that the encoder proves (`VelocityLoop._by_damping`). With an integral the bound holds only if the
-limit is not reached (`VelocityLoop.may_limit`).
+The drive is M v' = c (r - v) + f_I + F - friction with f_I' = k (r - v). With r = 0 the hand can take out
+V = M v^2 / 2 + f_I^2 / 2k, and W = E - V falls by no more than the `loss` of the commands (D6 of
+`docs/theory/commands_of_a_display.md`).
 """
 
 from dataclasses import dataclass, replace
