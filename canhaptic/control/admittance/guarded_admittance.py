@@ -74,7 +74,7 @@ class GuardedAdmittance(AdmittanceController[GuardedAxis]):
         self._taken = 0.0  # dissipated or leaked so far, and not paid [J]
         self._limited = 0  # SYNCs for which a force may belong to a hold in which a drive was at its torque limit
         # whether it may have been there where a certificate rests on that it is not; its integral is then unknown
-        self._is_unsure = given.integral_gain > 0.0 and any(of.jitter > 0.0 for of in self._properties)
+        self._is_uncertain = given.integral_gain > 0.0 and any(of.jitter > 0.0 for of in self._properties)
 
     @property
     def left(self) -> float:
@@ -84,7 +84,7 @@ class GuardedAdmittance(AdmittanceController[GuardedAxis]):
     def sample_lost(self) -> GroupBalance:
         """Return the balance of a SYNC without the sample of an axis; see `GroupController`."""
         balance = super().sample_lost()
-        return balance._replace(account=balance.account._replace(certificate=_NONE)) if self._is_unsure else balance
+        return balance._replace(account=balance.account._replace(certificate=_NONE)) if self._is_uncertain else balance
 
     def _miss(self) -> None:
         self._let_pass([axis.unseen() for axis in self._each])
@@ -98,7 +98,7 @@ class GuardedAdmittance(AdmittanceController[GuardedAxis]):
         skipped = round(periods) - 1
         if not self._started:
             return
-        self._is_unsure = self._is_unsure or (self._given.integral_gain > 0.0 and self._each[0].port.missed > 0)
+        self._is_uncertain = self._is_uncertain or (self._given.integral_gain > 0.0 and self._each[0].port.missed > 0)
         changes = [axis.change_of_skip(skipped) for axis in self._each]
         own = self._own()
         for number in range(skipped):
@@ -108,9 +108,10 @@ class GuardedAdmittance(AdmittanceController[GuardedAxis]):
 
     def _let_pass(self, changes: Sequence[float]) -> None:
         """Update the margins for a hold without a sample, with a lower bound on its change for each axis [J]."""
-        for axis in self._each:
+        for axis, change in zip(self._each, changes, strict=True):
             axis.let_pass()
-        self._fall(changes)
+            axis.fall(change)
+        self._fall(sum(changes))
 
     def _answer(self, positions: Vector, forces: Vector) -> GroupBalance:
         """Book the hold that ended and send the next commands; see `AdmittanceController`.
@@ -119,50 +120,59 @@ class GuardedAdmittance(AdmittanceController[GuardedAxis]):
             ForceContradictedError: A force sensor contradicts the encoder.
         """
         each, environment, is_first = self._each, self._environment, bool(self._each[0].port.missed)
-        holds, h_i = self._take(positions, forces)
+        holds, energy, h_i = self._take(positions, forces)
         before = self._own()
         request = environment.speeds_after(self._inner, before, forces, positions, self._time)
-        certificate = self._send([
-            axis.limited(speed, position, axis.drive.velocity)
-            for axis, speed, position in zip(each, request, positions, strict=True)
-        ])  # fmt: skip
-        environment.go_along(self._inner, before, self._own(), self._time)
+        for place, axis in enumerate(each):
+            request[place] = axis.limited(request[place], positions[place], axis.drive.velocity)
+        certificate = self._send(request)
+        if environment.states:
+            environment.go_along(self._inner, before, self._own(), self._time)
         self._watch_limit()
-        if self._is_unsure:
+        if self._is_uncertain:
             certificate = _NONE
         else:
             self._require_agreement(holds, forces, is_first=is_first)
-        apart = (h_i - sum([hold.energy for hold in holds])) / self.axes  # known by the encoders: of no axis alone
+        apart = (h_i - energy) / self.axes  # known by the encoders: of no axis alone
         interactions = tuple([hold.energy + apart for hold in holds])
         return self._closed(self._settled(h_i, before, positions), interactions, before, positions, certificate)
 
-    def _take(self, positions: Vector, forces: Vector) -> tuple[list[BookedHold], float]:
-        """Book the hold that ended on every axis and update the margins; return the holds and received energy [J]."""
-        each, at_limit = self._each, self._limited > 0
-        before = [(axis.port.origin, axis.port.force) for axis in each]
-        taken = [axis.take(*seen) for axis, *seen in zip(each, positions, forces, strict=True)]
-        holds = [hold for hold, _ in taken]
-        self._fall([change for _, change in taken])
-        energy, loop = sum([hold.energy for hold in holds]), self._loop
-        if self._is_unsure or not holds[0].is_booked:
-            return holds, energy
+    def _take(self, positions: Vector, forces: Vector) -> tuple[list[BookedHold], float, float]:
+        """Book the hold that ended on every axis and update the margins.
+
+        Returns:
+            The holds, the energy received by the forces, and the energy received [J].
+        """
+        each, loop, declared, at_limit = self._each, self._loop, self._declared, self._limited > 0
+        booked_to = [] if declared is None else [(axis.port.origin, axis.port.force) for axis in each]
+        holds, energy, fallen = list[BookedHold](), 0.0, 0.0
+        for axis, position, force in zip(each, positions, forces, strict=True):
+            hold, change = axis.take(position, force)
+            axis.fall(change)
+            holds.append(hold)
+            energy += hold.energy
+            fallen += change
+        self._fall(fallen)
+        if self._is_uncertain or not holds[0].is_booked:
+            return holds, energy, energy
         free, then = self._h_s - self._surplus, loop.oldest()
         late = free + energy
-        if self._declared is not None:
-            self._declared.hear(
-                late, [axis.heard(*was, at_limit=at_limit) for axis, was in zip(each, before, strict=True)]
-            )
-        kept = [axis.loop.reserve(axis.leads[then], hold.speed) for axis, hold in zip(each, holds, strict=True)]
-        loop.rise(then, late - sum(kept), self._taken)
+        if declared is not None:
+            heard = zip(each, booked_to, strict=True)
+            declared.hear(late, [axis.heard(*since, at_limit=at_limit) for axis, since in heard])
+        kept = 0.0
+        for axis, hold in zip(each, holds, strict=True):
+            kept += axis.loop.reserve(axis.leads[then], hold.speed)
+        loop.rise(then, late - kept, self._taken)
         if self._force is not None:
-            kept = [axis.force.reserve(hold.speed) for axis, hold in zip(each, holds, strict=True)]
-            self._force.rise(then, late - sum(kept), self._taken)
+            kept = sum([axis.force.reserve(hold.speed) for axis, hold in zip(each, holds, strict=True)])
+            self._force.rise(then, late - kept, self._taken)
         proved = loop.before[then] - self._taken
         if proved <= late:
-            return holds, late - free
+            return holds, energy, late - free
         for axis in each:
             axis.port.reopen()
-        return holds, proved - free
+        return holds, energy, proved - free
 
     def _require_agreement(self, holds: Sequence[BookedHold], forces: Sequence[float], *, is_first: bool) -> None:
         """Check that the measured force of every axis agrees with its motion.
@@ -176,11 +186,9 @@ class GuardedAdmittance(AdmittanceController[GuardedAxis]):
                 self.reset()
                 raise ForceContradictedError(text)
 
-    def _fall(self, changes: Sequence[float]) -> None:
-        """Update the margins for the hold that ended, and record the state at this SYNC for a force that comes late."""
-        for axis, change in zip(self._each, changes, strict=True):
-            axis.fall(change)
-        self._loop.fall(sum(changes), self._taken)
+    def _fall(self, change: float) -> None:
+        """Update the margins for the hold that ended, with a lower bound on the change of W in it [J]."""
+        self._loop.fall(change, self._taken)
         if self._force is not None:
             is_in_doubt = self._limited > self._properties[0].latency
             self._force.fall(-inf if is_in_doubt else -self._force.lost(), self._taken)
@@ -252,9 +260,9 @@ class GuardedAdmittance(AdmittanceController[GuardedAxis]):
             return
         self._limited = loop.delay + 1 + loop.losses + self._properties[0].latency
         if loop.integral > 0.0:
-            self._is_unsure = True
-        elif not self._is_unsure:
-            self._is_unsure = self._loop.used() > self._loop.known + self._allowance
+            self._is_uncertain = True
+        elif not self._is_uncertain:
+            self._is_uncertain = self._loop.used() > self._loop.known + self._allowance
 
     def _settled(self, h_i: float, before: Vector, positions: Vector) -> tuple[float, ...]:
         """Write off energy that neither environment nor drives can return to the hand, as dissipated or leaked.
@@ -267,16 +275,19 @@ class GuardedAdmittance(AdmittanceController[GuardedAxis]):
         Returns:
             The terms of `EnergyBalance` from h_i to paid [J].
         """
-        environment, h_s, ceiling, lost = self._environment, self._h_s + h_i, 0.0, 0.0
+        environment, h_s, lost = self._environment, self._h_s + h_i, 0.0
+        under_way = self._loop.used()
+        slack, ceiling = self._loop.known + self._allowance - under_way, 0.0
         for axis in self._each:  # at the largest speed that the handle may have now
             ceiling += axis.reserve(abs(axis.drive.velocity) + axis.properties.handle_acceleration * self._time)
-        ceiling += self._loop.used()
+        ceiling += under_way
         if h_s > ceiling:  # what came in late belongs to commands that may be under way still
             sent = max(zip(*[axis.commands for axis in self._each], strict=True), key=_square)
             ceiling = max(environment.stored(self._inner, list(sent), positions), ceiling)
             # the damper's loss pays for the uncertainty of the force first
             lost = min(environment.lost(before, self._time), max(0.0, h_s - ceiling))
-        slack = max([margin.known + self._allowance - margin.used() for margin in self._margins])
+        for margin in self._margins[1:]:
+            slack = max(slack, margin.known + self._allowance - margin.used())
         h_s, surplus, h_r, deficit, leak, paid = settle(h_s, self._surplus, lost, ceiling, slack)
         taken = h_r + leak - paid
         for margin in self._margins:

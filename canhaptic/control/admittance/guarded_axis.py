@@ -135,10 +135,10 @@ class GuardedAxis(AdmittanceAxis):
             self._check.begin(self.port.position, force, self.drive.lead)
             return ""
         age, commands = self.loop.delay + 1, self.commands
-        acted, unsure = commands.sent(age), 0.0
+        acted, uncertainty = commands.sent(age), 0.0
         for older in range(age + 1, age + self.loop.losses + 1):
-            unsure = max(unsure, abs(commands.sent(older) - acted))
-        found = self._check.take(MovedHold(hold.moved, acted, unsure, self.drive.lead), force)
+            uncertainty = max(uncertainty, abs(commands.sent(older) - acted))
+        found = self._check.take(MovedHold(hold.moved, acted, uncertainty, self.drive.lead), force)
         return "" if found is None else found.text(of)
 
     def used(self) -> float:

@@ -26,7 +26,10 @@ class ByLoop(LateMargin):
 
     def used(self) -> float:
         """Return the most that all queued commands can use up [J]."""
-        return sum([axis.used() for axis in self._axes])
+        used = 0.0
+        for axis in self._axes:
+            used += axis.used()
+        return used
 
     def fastest(self, request: float, budget: float) -> float:
         """Return the largest certified speed of a single axis in the direction of a request [m/s or rad/s]."""

@@ -513,13 +513,13 @@ def doubt_of_mover(memory: AccountMemory, ended: GroupHolds, hold: int) -> float
     return total
 
 
-def certain_energy(account: GroupAccount, credit: float) -> float:
+def certain_energy(account: GroupAccount, allowance: float) -> float:
     """Return the energy that the next torques may give out [J].
 
     Energy dissipated or leaked earlier cannot be given out again. The uncertainty due to encoders is subtracted only
     as far as it exceeds that energy.
     """
-    energy = account.h_s - account.h_dis + credit
+    energy = account.h_s - account.h_dis + allowance
     lacking = account.uncertainty - account.unrecovered
     return energy - lacking if lacking > 0.0 else energy
 

@@ -64,7 +64,7 @@ class GuardedGroupSettings(NamedTuple):
 
     loop: group_kernel.GroupLoop
     account: group_account.AccountSettings
-    credit: float  # energy that may be given out before any came in [J]
+    allowance: float  # energy that may be given out before any came in [J]
     alpha: float  # [s/m^2 or s/rad^2]
     lead: float  # prediction [holds]
     prediction: list[guarded.PredictionSettings]  # of each axis
@@ -126,7 +126,7 @@ def settings_of(
     return GuardedGroupSettings(
         loop,
         group_account.AccountSettings(axes, limits, loop.motion.moves),
-        credit=parameters.energy_allowance,
+        allowance=parameters.energy_allowance,
         alpha=parameters.alpha,
         lead=guarded.PREDICTION_HOLDS + delay + late,
         prediction=[guarded.prediction_settings(loop, guarded.PREDICTION_HOLDS + late) for loop in loops],
@@ -306,7 +306,7 @@ def book(run: GuardedRun, at: Accounting, h_i: float, h_pas: float, lost: float)
     h_s, surplus = account.h_s + h_i - h_pas, account.h_dis - h_pas
     slack = 0.0
     if lost > 0.0 or h_s > ceiling:
-        free = certainly_free(at, h_s - surplus + run.settings.credit)
+        free = certainly_free(at, h_s - surplus + run.settings.allowance)
         slack = min(free, h_s)
     account.h_s, account.h_dis, h_r, deficit, leak, paid = settle(h_s, surplus, lost, ceiling, slack)
     account.unrecovered += h_r + leak - paid
@@ -332,7 +332,7 @@ def render(world: group_kernel.GroupModel, run: GuardedRun, at: Accounting) -> t
         fade(state.account, _FADE)
         return 0.0, _UNBOUNDED
     speed = write_request(world, run, at.under_way)
-    energy = certain_energy(state.account, settings.credit)
+    energy = certain_energy(state.account, settings.allowance)
     share, lead_share, damper_share, covered = shares_of_request(run, speed, energy)
     rendered = write_dampers(run, damper_share)
     damper, modulated, torques = memory.damper, memory.modulated, memory.torques

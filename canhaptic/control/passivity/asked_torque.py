@@ -104,7 +104,7 @@ def granted(run: guarded.GuardedRun, asked: float, moved: float) -> tuple[float,
         moved: Mean displacement per hold since the last position [m or rad].
     """
     settings, state = run.settings, run.state
-    bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
+    bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.allowance
     if bound.dissipated > 0.0:
         enough = settings.earned
         if settings.damped_stiffness > 0.0:

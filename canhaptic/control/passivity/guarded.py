@@ -211,7 +211,7 @@ class GuardedSettings:
     """Constants of `guarded` on one axis during a run."""
 
     sample_time: float  # [s]
-    credit: float  # [J]
+    allowance: float  # [J]
     drag: Annotated[float, OFTEN_ZERO]  # in free motion [N or N*m]
     alpha: float  # [s/m^2 or s/rad^2]
     torque_limit: float  # largest torque that limiter and drive let act [N or N*m]
@@ -276,7 +276,7 @@ def _settings_of_loop(parameters: GuardedParameters, loop: LoopProperties) -> Gu
     damped, calm = scalar_bounds.renderable_by_device_damping(damping, sample_time, loop.delay), calm_stiffness_of(loop)
     return GuardedSettings(
         sample_time=sample_time,
-        credit=parameters.energy_allowance,
+        allowance=parameters.energy_allowance,
         drag=parameters.drag,
         alpha=parameters.alpha,
         torque_limit=loop.torque_limit or inf,
@@ -493,7 +493,7 @@ def book(run: GuardedRun, h_i: float, h_pas: float, damped: float, ceiling: floa
     h_s, surplus = state.h_s + h_i - h_pas, axis.h_dis - h_pas
     ceiling += settings.earned
     if damped > 0.0 or h_s > ceiling:
-        slack = free_energy(settings.declared, state.bound, run.memory.bound, h_s - surplus + settings.credit)
+        slack = free_energy(settings.declared, state.bound, run.memory.bound, h_s - surplus + settings.allowance)
         if slack > h_s:
             slack = h_s
     elif h_s >= 0.0:  # nothing is dissipated, leaked or lacking: nothing is to be settled
@@ -541,7 +541,7 @@ def render(
         same: Whether the axis was in the same contact zone at the last position.
     """
     settings, state, queued = run.settings, run.state, run.memory.bound.under_way
-    bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
+    bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.allowance
     if settings.longest_window:
         energy = certain_energy(state, energy)
     ahead = steady = settings.lead * travel
@@ -723,8 +723,8 @@ def soft_and_further(
     if spare < 0.0:
         left = 2.0 * (spare + reserve)
         return (soft if left >= reserve else soft * left / reserve if left > 0.0 else 0.0), 0.0
-    blur = calm * count
-    return soft, sqrt(blur * blur + 2.0 * calm * spare) - blur
+    uncertainty = calm * count
+    return soft, sqrt(uncertainty * uncertainty + 2.0 * calm * spare) - uncertainty
 
 
 def energy_permitted(
@@ -760,7 +760,7 @@ def drag(run: GuardedRun, moved: float) -> tuple[float, int]:
         moved: Displacement in a hold [m or rad].
     """
     settings, state = run.settings, run.state
-    bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.credit
+    bound, energy = state.bound, state.h_s - state.axis.h_dis + settings.allowance
     if bound.dissipated > 0.0:  # reduced to the energy kept for later contacts
         have = max(0.0, state.h_s - state.axis.h_dis + bound.dissipated)
         keep(bound, state.h_s - state.axis.h_dis, max(_FADE * have, settings.earned))
