@@ -50,16 +50,6 @@ def base(random: Random) -> Scene:
     wall_damping = random.uniform(0.02, 0.08) * mass * rate
     stiffness = min(random.uniform(0.1, 0.5) * (damping + wall_damping) * rate / late, 8000.0)
     algorithm = random.choice(("guarded", "unprotected", "internal_dissipation", "passivity_observer"))
-    protection: Scene = {"algorithm": algorithm}
-    if algorithm == "passivity_observer":
-        protection["moving_mass"] = 0.9 * mass
-    if algorithm == "guarded":
-        protection |= {
-            "moving_mass": 0.9 * mass,
-            "device_damping": 0.9 * damping,
-            "device_damping_bound": 2.0 * damping,
-        }
-        protection |= {"hand_force": 0.0, "hand_push": 20.0}
     axis = {"name": "handle", "node_id": 1, "eds": "cia402_servo.eds", "unit": "m", "counts_per_unit": 4e6}
     axis |= {"rated_torque": 2.0, "torque_limit": 20.0}
     hand: Scene = {"stiffness": random.uniform(80.0, 300.0), "damping": random.uniform(2.0, 6.0)}
@@ -76,7 +66,7 @@ def base(random: Random) -> Scene:
         "environment": {
             "type": "spring_damper_wall", "stiffness": stiffness, "damping": wall_damping, "position": -0.002,
         },
-        "passivity": protection,
+        "passivity": _protection(algorithm, mass, damping),
         "simulation": {
             "seed": random.randrange(10**6),
             "drive": {"sync_losses_to_fault": 1000},
@@ -85,6 +75,19 @@ def base(random: Random) -> Scene:
             "effects": [],
         },
     }  # fmt: skip
+
+
+def _protection(algorithm: str, mass: float, damping: float) -> Scene:
+    """Return an algorithm with what it needs to know of a device, on the safe side."""
+    if algorithm not in ("guarded", "passivity_observer"):
+        return {"algorithm": algorithm}
+    known = {
+        "device_damping": 0.9 * damping,
+        "device_damping_bound": 2.0 * damping,
+        "hand_force": 0.0,
+        "hand_push": 20.0,
+    }
+    return {"algorithm": algorithm, "moving_mass": 0.9 * mass, **(known if algorithm == "guarded" else {})}
 
 
 def _late(scene: Scene) -> float:

@@ -21,6 +21,7 @@ from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import LOOP_KEYS
 from canhaptic.sim.plant.effects import EFFECTS
 from tools.bench.truth import (
+    _sum_figures,
     false_table,
     fault_table,
     is_false,
@@ -276,6 +277,12 @@ def test_the_table_of_false_declarations_counts_what_a_run_notices():
     harmless, refused = replace(unseen, least=0.0, false_claims=()), replace(unseen, status="refused")
     [row] = false_table([unseen, seen, stopped, harmless, refused])
     assert list(row.values()) == ["moving_mass", 4, 1, 2, 3, 2]
+
+
+def test_a_campaign_of_sums_counts_the_runs_of_a_sum_that_had_a_torque():
+    one = Outcome(1, ("sum:2",), "completed", "yes", "", (), 0.0, 0.0, 0.0, 1.0, 1.0, True, (), "")
+    others = [replace(one, peak=0.0), replace(one, tags=()), replace(one, false_claims=("x",)), replace(one, asked=0.0)]
+    assert [row.value for row in _sum_figures([one, *others])] == [4, 3, 1, 0]
 
 
 @pytest.mark.slow

@@ -268,6 +268,17 @@ def _figures(outcomes: list[Outcome], *, faults: bool) -> list[Row]:
     ]
 
 
+def _sum_figures(outcomes: list[Outcome]) -> list[Row]:
+    sums = [outcome for outcome in outcomes if any(tag.startswith("sum:") for tag in outcome.tags)]
+    touched, wrong = sum(o.counts and not o.is_silent for o in sums), sum(map(is_false, sums))
+    return [
+        Row("runs of a sum", len(sums), "1"),
+        Row("of these, of at least 1 s with a torque in contact", touched, "1", target=">= 2000", met=touched >= 2000),
+        Row("false claims", wrong, "1", target="0", met=wrong == 0),
+        Row("scenes of sums refused", sum(o.status == "refused" for o in sums), "1"),
+    ]
+
+
 def _miss_figures(outcomes: list[Outcome]) -> list[Row]:
     rows = miss_table(outcomes)
     in_the_run = [row for row in rows if "run" in row["frames show it"]]
@@ -359,6 +370,8 @@ def main() -> None:
     for outcome in list(filter(is_false, outcomes))[:_SHRUNK_AT_MOST]:
         print(f"seed {outcome.seed}: {'; '.join(outcome.false_claims)}; {', '.join(outcome.tags)}")
     figures = _miss_figures(outcomes) if arguments.false else _figures(outcomes, faults=arguments.faults)
+    if arguments.sums:
+        figures = _sum_figures(outcomes)
     publish(name, figures, _PACKAGES)
     write_result(
         out_folder() / f"{name}_table.json", _PACKAGES, {"table": rows, "declared falsely": false, "missed": missed}

@@ -175,13 +175,11 @@ def _run(scene: TruthScene, make: Make) -> tuple[Outcome, HandWatch | None]:
         experiment = make(loaded)
     except CanHapticError as error:
         return _refused(scene, str(error)), None
-    status, text = "completed", ""
+    status, text, reaction, to_zero = "completed", "", "", 0
     with experiment:
         watch, asked, faults = HandWatch(experiment, scene.outward), _Asked(experiment), FaultWatch(experiment, scene)
-        losses, moments = (
-            LossWatch(experiment),
-            _Moments(experiment, scene.passivity, has_twin="fault:twin" in scene.tags),
-        )
+        losses = LossWatch(experiment)
+        moments = _Moments(experiment, scene.passivity, has_twin="fault:twin" in scene.tags)
         program = next((tag.partition(":")[2] for tag in scene.tags if tag.startswith("program:")), "")
         if program:
             experiment.cycle.turn = asking = Asking(experiment, scene.seed, program)
@@ -203,7 +201,6 @@ def _run(scene: TruthScene, make: Make) -> tuple[Outcome, HandWatch | None]:
         is_told = status == "completed" and not any(tag.startswith("fault:torque") for tag in scene.tags)
         after = claims_after(experiment, account, left) if is_told else []  # a broken drive goes on until it is off
         after += promises_broken_after(experiment, account)
-        reaction, to_zero = "", 0
         if status == "stopped":
             reaction, to_zero = experiment.rig.stop_reason.name, faults.syncs_to_zero()
     outcome = _outcome(scene, account, watch, asked, status, text)
@@ -212,10 +209,15 @@ def _run(scene: TruthScene, make: Make) -> tuple[Outcome, HandWatch | None]:
     if program:
         outcome = replace(outcome, asked=asking.asked)
     outcome = replace(outcome, false_claims=(*outcome.false_claims, *moments.claims, *after))
-    declared = int(scene.passivity.get("max_consecutive_losses", 0))
-    outcome = replace(outcome, losses=losses.longest, declared_losses=declared, skipped=losses.skipped)
     given_after = max(0.0, *(-energy for energy in left.values()))
-    return replace(outcome, reaction=reaction, to_zero=to_zero, given_after=given_after), watch
+    return replace(
+        _with_losses(outcome, scene, losses), reaction=reaction, to_zero=to_zero, given_after=given_after
+    ), watch
+
+
+def _with_losses(outcome: Outcome, scene: TruthScene, losses: LossWatch) -> Outcome:
+    declared = int(scene.passivity.get("max_consecutive_losses", 0))
+    return replace(outcome, losses=losses.longest, declared_losses=declared, skipped=losses.skipped)
 
 
 def _refused(scene: TruthScene, text: str) -> Outcome:
