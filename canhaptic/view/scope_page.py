@@ -276,7 +276,7 @@ class ScopePage:
                 port.take(news, keep)
             for name, columns in (("timing", news.timing), ("lost", news.lost)):
                 source, panel = self._common[name]
-                _stream(source, news.time[keep], {key: values[keep] for key, values in columns.items()})
+                stream(source, news.time[keep], {key: values[keep] for key, values in columns.items()})
                 panel.visible = panel.visible or any(values.any() for values in columns.values())
         self._status.text = _status(news, self._last or news)
 
@@ -327,7 +327,7 @@ class _LivePort:
         columns = {key: rows[key][keep] for key in _LINES}
         faults = [(at, of) for at, of in news.events if of.kind in FAULTS and of.port in {"", self._name}]
         self._faults.data = {"at": [at for at, _ in faults], "text": [f"{of.kind}: {of.text}" for _, of in faults]}
-        _stream(self._source, time, columns)
+        stream(self._source, time, columns)
         self._handle.take(news, keep)
         for title, panel in self.panels.items():
             panel.visible = panel.visible or any(columns[name].any() for name in _OPTIONAL.get(title, ()))
@@ -421,8 +421,9 @@ def _states(news: News, name: str, time: models.Range) -> StatePanels | None:
     return StatePanels(name, facts.torque_limit, unit, time, news.sample_time, panel)
 
 
-def _stream(source: models.ColumnDataSource, time: Array, columns: Mapping[str, Array]) -> None:
-    shown = decimate_together(columns.values(), _BUCKETS)
+def stream(source: models.ColumnDataSource, time: Array, columns: Mapping[str, Array], buckets: int = _BUCKETS) -> None:
+    """Draw new rows of columns over time, of each bucket of rows the extremes; old rows go."""
+    shown = decimate_together(columns.values(), buckets)
     source.stream({"time": time[shown]} | {name: values[shown] for name, values in columns.items()}, rollover=_POINTS)
 
 

@@ -22,8 +22,7 @@ from canhaptic.lab.touch.two_sides import TouchSlider
 from canhaptic.view.drawn_handle import MATERIAL, MIDDLE, five_bar, new_knob, new_plane
 from canhaptic.view.html_page import verdict_bar
 from canhaptic.view.picture_style import BLUE, GREY, PALE, VERMILION
-from canhaptic.view.scope_page import LivePage, line_of, panel_of
-from canhaptic.view.series import decimate
+from canhaptic.view.scope_page import LivePage, line_of, panel_of, stream
 
 _COLOURS: Final = (VERMILION, BLUE)
 _SHOWN: Final = 3.0  # [s]
@@ -59,9 +58,8 @@ class TouchPage:
         self._pointer.on_change("data", self._take_pointer)
         self._status = models.Div(text="the drives start ...", name="status", sizing_mode="stretch_width")
         self._sides = [_SideView(hand, number, self._pointer) for number in range(2)]
-        self._handles = self._sides[-1].handle
         self._drawn = models.ColumnDataSource({"frame": [0]}, name="drawn")
-        self._handles.js_on_change("data", models.CustomJS(args={"drawn": self._drawn}, code=_MEASURE))
+        self._sides[-1].handle.js_on_change("data", models.CustomJS(args={"drawn": self._drawn}, code=_MEASURE))
         self._frame = self._waited = 0
         for mine, other in zip(self._sides[0].panels, self._sides[1].panels, strict=True):  # one scale, to compare them
             other.y_range = mine.y_range
@@ -226,10 +224,7 @@ class _SideView:
         parts, self._waiting = self._waiting, []
         rows = {name: np.concatenate([part[name] for part in parts]) for name in rows}
         columns = {name: rows[column] for name, column in self._columns.items()}
-        buckets = max(2, round(120 * lasted))
-        shown = np.unique(np.concatenate([decimate(values, buckets) for values in columns.values()]))
-        new = {"time": rows["time"][shown]} | {name: values[shown] for name, values in columns.items()}
-        self._lines.stream(new, rollover=3000)
+        stream(self._lines, rows["time"], columns, max(2, round(120 * lasted)))
 
     def judge(self, status: TouchStatus) -> None:
         """Show whether the side has given out more energy than it received so far."""
