@@ -72,7 +72,7 @@ class World:
         InputError: The scene names no world, or a virtual rig has no simulated drives.
 
     Example:
-        >>> with canhaptic.World("virtual", scene="configs/world.yaml") as world:
+        >>> with canhaptic.World("virtual", scene="configs/far_world.yaml") as world:
         ...     for hand in world:
         ...         world["handle"].wall(at=0.02, stiffness=1000.0, pushes="-")
     """

@@ -1,6 +1,6 @@
 """A loop with `time.sleep` behind a wall that the rig renders at 1 kHz: a lift goes up and down under the hand.
 
-Alone it meets the simulated rig in virtual time; with `loopback`, `canhaptic run configs/world.yaml --pace real`.
+Alone it meets the simulated rig in virtual time; with `loopback`, `canhaptic run configs/far_world.yaml --pace real`.
 """
 
 import math
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import canhaptic
 
-RIG = Path(__file__).resolve().parents[1] / "configs" / "world.yaml"
+RIG = Path(__file__).resolve().parents[1] / "configs" / "far_world.yaml"
 
 if __name__ == "__main__":
     where, deepest, now = (sys.argv[1:] or ["virtual"])[0], 0.0, 0.0

@@ -10,7 +10,7 @@ from lerobot.robots.so101_follower import SO101Follower, SO101FollowerConfig
 
 import canhaptic
 
-RIG = Path(__file__).resolve().parents[2] / "configs" / "world.yaml"
+RIG = Path(__file__).resolve().parents[2] / "configs" / "far_world.yaml"
 JOINT, PER_METRE, BEHIND = "shoulder_lift.pos", 500.0, 3.0  # units of the joint for a metre of the handle
 
 if __name__ == "__main__":

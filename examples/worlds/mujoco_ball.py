@@ -7,7 +7,7 @@ import mujoco
 
 import canhaptic
 
-RIG = Path(__file__).resolve().parents[2] / "configs" / "world.yaml"
+RIG = Path(__file__).resolve().parents[2] / "configs" / "far_world.yaml"
 SCENE = """<mujoco><option timestep="0.0041666667" integrator="implicitfast" gravity="0 0 0"/><worldbody>
 <body><joint name="x" type="slide" axis="1 0 0"/><geom type="sphere" size=".01" mass=".2"/></body>
 <body pos=".03 0 0"><joint type="slide" axis="1 0 0" damping="2"/><geom type="sphere" size=".01" mass=".5"/></body>

@@ -12,7 +12,7 @@ from std_msgs.msg import Float64MultiArray
 
 import canhaptic
 
-RIG = Path(__file__).resolve().parents[2] / "configs" / "world.yaml"
+RIG = Path(__file__).resolve().parents[2] / "configs" / "far_world.yaml"
 
 
 class Bridge(Node):

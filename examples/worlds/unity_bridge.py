@@ -14,7 +14,7 @@ from pathlib import Path
 
 import canhaptic
 
-RIG = Path(__file__).resolve().parents[2] / "configs" / "world.yaml"
+RIG = Path(__file__).resolve().parents[2] / "configs" / "far_world.yaml"
 
 if __name__ == "__main__":
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as game:

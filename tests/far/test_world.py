@@ -18,7 +18,7 @@ from canhaptic.far.world_side import WorldAxis
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.load import load_scene
 
-SCENE = "configs/world.yaml"
+SCENE = "configs/far_world.yaml"
 FAST = {"far.level": "15 mJ", "simulation.user.motion.frequency": "1.5 Hz", "duration": "0.5 s"}
 FAR: Any = load_scene(SCENE).far
 
@@ -70,7 +70,7 @@ def test_what_a_world_says_is_a_model_and_never_a_torque():
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda world: world.wall(0.0, 2001.0, "-"), "0 to 2000 .*far.coupling.stiffness of configs/world.yaml"),
+        (lambda world: world.wall(0.0, 2001.0, "-"), "0 to 2000 .*far.coupling.stiffness of configs/far_world.yaml"),
         (lambda world: world.wall(0.0, 1.0, "up"), "pushes: got 'up', expected '-'"),
         (lambda world: world.wall(math.nan, 1.0, "-"), "wall: at: got nan, expected a finite number"),
         (lambda world: world.spring(0.0, 1.0, damping=21.0), "spring: damping: got 21.0, expected 0 to 20"),

@@ -13,7 +13,7 @@ from tools.attack.far import FALSE
 from tools.attack.worlds import OF_A_WORLD, campaign
 from tools.bench.slow_worlds import Ball, behind_a_wall, by_held_force, pressed
 
-SCENE = "configs/world.yaml"
+SCENE = "configs/far_world.yaml"
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from tools.attack.worlds import OF_A_WORLD, campaign, run
 from tools.bench.report import Row, kept_folder
 from tools.kept_runs import run_kept
 
-_RIG: Final = "configs/world.yaml"
+_RIG: Final = "configs/far_world.yaml"
 _WITHIN: Final = 300
 _LENGTH: Final = 3.0  # of a random world [s]
 _TURN: Final = 1.0 / 60.0
