@@ -202,6 +202,27 @@ def test_two_equal_axes_are_one_axis_with_twice_the_energy(
     assert max(abs(row[-1]) for row in found[0]) > 0.02
 
 
+def test_energy_of_commands_that_may_still_act_is_not_leaked() -> None:
+    """A hand brakes a mass, and what it brought in is kept for the fastest command under way: here three SYNCs old."""
+    drive = GuardedAdmittanceParameters.model_validate(DRIVE | {"energy_allowance": 1.0})
+    known = [properties(encoder_count=1e-7).model_copy(update={"delay": 3})] * 2
+    controller, place, leaked, sent = (
+        build_display_group(GroupMass(mass=5.0), "guarded", drive, known),
+        0.0,
+        0,
+        [0.0] * 5,
+    )
+    for k in range(200):
+        force = 20.0 if k < 60 else -60.0 if k < 78 else 0.0
+        account = controller.step([place] * 2, [-force] * 2).account
+        sent = [*sent[1:], account.torque]
+        place += TIME * (sent[0] / math.sqrt(2.0) + force / 300.0)
+        if account.leak > 1e-9:
+            assert account.h_s >= 0.5 * 5.0 * max(speed * speed for speed in sent[1:]) - 1e-9
+            leaked += 1
+    assert leaked > 2
+
+
 def test_a_spring_in_task_space_pulls_the_handle_to_its_rest() -> None:
     x, y = ARM.pose(POSE).position
     task = TaskEnvironment(GroupMass(mass=2.0, stiffness=500.0, rest=(x + 0.01, y)), ARM, 0.0)
