@@ -140,7 +140,8 @@ def _contacts(axis: AxisScene, scene: Scene, holds: int) -> list[int]:
 
 DEFAULT_BUDGET: Final = 4.0
 """Time of the processor for the timings of plants [s], in addition to the runs for errors."""
-_ENDS: Final = {"others": 5.0, "own": 7.5, "effects": 8.0, "continuous": 10.0, "loops": 11.0}
+_ENDS: Final = {"others": 5.0, "own": 7.5, "effects": 8.0, "continuous": 10.0, "loops": 11.0,
+               "times": 16.0}  # fmt: skip
 """Time of the processor after which a part of the study ends, with the default budget [s]; a larger one has more."""
 UNITS: Final = 1000
 """Units of progress in the whole study."""
@@ -305,9 +306,12 @@ class AccuracyStudy:
             self._loop_rows.append(self._loop_row(rendered))
             self._advance("loops", (number + 1) / len(every))
 
+    def _left(self, part: str) -> float:
+        """Return the time of the processor that is left until a part ends [s]."""
+        return _ENDS[part] * max(1.0, self.budget / DEFAULT_BUDGET) - (self._clock.now() - self._begin) * 1e-9
+
     def _is_over(self, part: str) -> bool:
-        """Return whether a part has used its time of the processor."""
-        return (self._clock.now() - self._begin) * 1e-9 > _ENDS[part] * max(1.0, self.budget / DEFAULT_BUDGET)
+        return self._left(part) < 0.0
 
     def _remark(self, text: str) -> None:
         self._remarks.append(text)
@@ -337,6 +341,7 @@ class AccuracyStudy:
             self.progress(self._done)
 
     def _time(self) -> None:
+        budget = min(self.budget, max(0.25 * self.budget, self._left("times")))  # a loop was compiled for long
         own: dict[str, Callable[[], object]] = {timing.WORKLOAD: timing.workload}
         others: dict[str, Callable[[], object]] = {}
         if plant := self._plant:
@@ -349,10 +354,10 @@ class AccuracyStudy:
             others = {name: of.spend for _, name, of in stable if of.method != plant_solvers.OURS}
         for begin, jobs in ((0.0, own), (0.45, others)):  # a method that takes long leaves ours their repeats
             advance = partial(self._advance, "times", begin=begin)
-            self._times |= timing.interleaved(jobs, 0.5 * self.budget, self.stop, advance)
+            self._times |= timing.interleaved(jobs, 0.5 * budget, self.stop, advance)
         self._check()
         cases = {str(i): (row.variant, row.run) for i, row in enumerate(self._loops) if row.run.torque.any()}
-        each = microseconds_per_step(cases, _REPEATS, 0.5 * self.budget)
+        each = microseconds_per_step(cases, _REPEATS, 0.5 * budget)
         try:
             exchange = timing.exchange_time(self.scene, self.holds)
             self._run_price = timing.run_price(self.scene, self.holds)
