@@ -61,7 +61,7 @@ def new_plane(
         colour: Colour of the handle.
         across: Range within which it moves from left to right [unit].
         along: The same from bottom to top [unit].
-        links: Links of a five-bar, as of `five_bar`; they are drawn with their motors, and the ranges have room for them.
+        links: Links of a five-bar, as of `five_bar`; drawn with their motors, for which the ranges have room.
         unit: SI unit of the axes.
         equal: Whether both directions have one scale, at any width; `tags` of the figure are then the two ranges.
         look: Further properties of the figure.
