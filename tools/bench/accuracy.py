@@ -32,7 +32,8 @@ def studied(path: Path) -> tuple[float, str]:
     done = subprocess.run(words, capture_output=True, text=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     said = json.loads(done.stdout)
-    note = "; ".join(said.get("remarks") or ()) if not done.returncode else done.stderr.strip().splitlines()[-1]
+    refused = done.stderr.strip().rpartition("\n")[2].replace(str(path), path.name)
+    note = refused if done.returncode else "; ".join(said.get("remarks") or ())
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, note
 
 
