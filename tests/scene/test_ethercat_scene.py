@@ -262,6 +262,7 @@ def test_a_rig_on_a_line_is_commissioned_as_on_can_and_its_hold_is_confirmed_at_
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_a_rig_of_a_line_and_a_can_bus_is_commissioned(tmp_path: Path) -> None:
     """Each drive is watched for as long as its own bus lets it be silent."""
     mixed, done = tmp_path / "mixed.yaml", tmp_path / "done.yaml"
