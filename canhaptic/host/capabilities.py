@@ -12,10 +12,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-NET_ADMIN, NET_RAW = 12, 13
-_NEEDED: Final = {"CAP_NET_RAW": NET_RAW, "CAP_NET_ADMIN": NET_ADMIN}
+_NEEDED: Final = {"CAP_NET_RAW": 13, "CAP_NET_ADMIN": 12}
 _VERSION: Final = 0x20080522  # of the calls: two words of 32 bits each
-_INTERFACES: Final = Path("/sys/class/net")
+INTERFACES: Final = Path("/sys/class/net")
 
 
 class _Header(ctypes.Structure):
@@ -37,14 +36,23 @@ def _call(name: str, data: "ctypes.Array[_Data]") -> bool:
 
 def effective() -> frozenset[str]:
     """Return which of the two capabilities this thread has in effect."""
-    data = (_Data * 2)()
-    return frozenset(name for name, bit in _NEEDED.items() if _call("capget", data) and data[0].effective >> bit & 1)
+    return _those_in("effective")
 
 
 def permitted() -> frozenset[str]:
     """Return which of the two capabilities this thread may raise."""
+    return _those_in("permitted")
+
+
+def _those_in(name: str) -> frozenset[str]:
     data = (_Data * 2)()
-    return frozenset(name for name, bit in _NEEDED.items() if _call("capget", data) and data[0].permitted >> bit & 1)
+    bits = getattr(data[0], name) if _call("capget", data) else 0
+    return frozenset(name for name, bit in _NEEDED.items() if bits >> bit & 1)
+
+
+def lacking() -> list[str]:
+    """Return which of the two capabilities this thread may not raise, in alphabetical order."""
+    return sorted(_NEEDED.keys() - permitted())
 
 
 @contextmanager
@@ -85,11 +93,11 @@ def opening_objection(interface: str) -> str:
     place = f"bus.interface {interface!r}"
     if not sys.platform.startswith("linux"):
         return f"{place}: got {sys.platform}, expected Linux: raw frames are sent there only"
-    if not (_INTERFACES / interface).exists():
+    if not (INTERFACES / interface).exists():
         known = ", ".join(name for _, name in socket.if_nameindex() if name != "lo") or "none"
         return f"{place}: got no such interface, expected one of: {known}; see `ip link`"
-    if lacking := [name for name in _NEEDED if name not in permitted()]:
-        text = f"{place}: cannot be opened without {' and '.join(lacking)}"
+    if missing := lacking():
+        text = f"{place}: cannot be opened without {' and '.join(missing)}"
         return f"{text}; as root, or once: {grant()}"
     if not is_up(interface):
         return f"{place}: is down; sudo ip link set {interface} up"
@@ -99,5 +107,5 @@ def opening_objection(interface: str) -> str:
 def is_up(interface: str) -> bool:
     """Return whether an interface is up."""
     with suppress(OSError, ValueError):
-        return bool(int((_INTERFACES / interface / "flags").read_text(encoding="ascii"), 16) & 1)
+        return bool(int((INTERFACES / interface / "flags").read_text(encoding="ascii"), 16) & 1)
     return False

@@ -19,7 +19,6 @@ _OFFLOADS: Final = {"gro": 0x2B, "gso": 0x23, "tso": 0x1E}  # ETHTOOL_GGRO, _GGS
 _COALESCING: Final = 0x0E  # ETHTOOL_GCOALESCE
 _COALESCE: Final = struct.Struct("=23I")
 _LONGEST_US: Final = 10  # that an interface may hold a frame back
-_NET: Final = Path("/sys/class/net")
 _ROUTES: Final = Path("/proc/net/route")
 
 Asker = Callable[[str, int, int], bytes | None]
@@ -37,7 +36,7 @@ def inspect_interface(interface: str, ask: "Asker | None" = None) -> list[Prefli
 
 
 def _rows(interface: str, ask: Asker) -> Iterator[Row]:
-    if not (_NET / interface).exists():
+    if not (capabilities.INTERFACES / interface).exists():
         yield row("interface", "none", "refused", capabilities.opening_objection(interface))
         return
     is_up = capabilities.is_up(interface)
@@ -45,11 +44,11 @@ def _rows(interface: str, ask: Asker) -> Iterator[Row]:
     is_default = interface in default_routes()
     text = "expected an interface for the drives alone, this one leads to the network; give the drives one of their own"
     yield row("default route", "here" if is_default else "elsewhere", "refused", text, good=not is_default)
-    bridge = _NET / interface / "master"
+    bridge = capabilities.INTERFACES / interface / "master"
     seen = bridge.resolve().name if bridge.exists() else "none"
     text = f"expected none: it would forward the frames; ip link set {interface} nomaster"
     yield row("bridge", seen, "refused", text, good=seen == "none")
-    lacking = sorted({"CAP_NET_ADMIN", "CAP_NET_RAW"} - capabilities.permitted())
+    lacking = capabilities.lacking()
     text = f"expected both; run as root, or once: {capabilities.grant()}"
     yield row("capabilities", f"without {' and '.join(lacking)}" if lacking else "granted", "refused", text,
               good=not lacking)  # fmt: skip

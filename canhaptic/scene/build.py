@@ -25,7 +25,7 @@ from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import CanHapticError, InputError, cause_of
 from canhaptic.result import RunResult, run_result
-from canhaptic.scene.buses import BUSES, BusParameters, kind_of, part
+from canhaptic.scene.buses import BusParameters, kind_of, part, part_if_any
 from canhaptic.scene.models import FAR, AxisScene, Scene
 from canhaptic.scene.parts import build_axis_meters, build_ports, build_servo_drive, require_torque_axis
 from canhaptic.signals import SimulatedPeer, Truth
@@ -117,12 +117,14 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
 
 
 def _with_channel(bus: BusParameters) -> Any:
-    return part(kind, "named")(bus) if "named" in BUSES[kind := kind_of(bus)] else bus
+    named = part_if_any(kind_of(bus), "named")
+    return bus if named is None else named(bus)
 
 
 def _opened(named: Sequence[BusParameters], stack: ExitStack) -> "list[can.BusABC | None]":
     """Return one connection to each bus, closed with the stack; None for a line, which has no end of its own."""
-    return [part(kind, "open")(of, stack) if "open" in BUSES[kind := kind_of(of)] else None for of in named]
+    doors = ((part_if_any(kind_of(of), "open"), of) for of in named)
+    return [None if door is None else door(of, stack) for door, of in doors]
 
 
 def _simulated_side(

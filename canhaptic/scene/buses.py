@@ -76,6 +76,11 @@ def part(kind: str, name: str) -> Any:
     return load(BUSES[kind], name, f"part of a bus {kind}")
 
 
+def part_if_any(kind: str, name: str) -> Any:
+    """Return one part of a kind of bus; None where that kind has none of this name."""
+    return part(kind, name) if name in BUSES[kind] else None
+
+
 def model_on(section: MarkedMapping, model: type) -> type:
     """Return the model of the section of a bus or of an axis on its kind of bus, in place of that of CAN."""
     if section.bus_kind == "can":

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from canhaptic.cli.main import main
+from canhaptic.drive.ethercat.segment import al_remedy, al_text
 from canhaptic.errors import LogFormatError
 from canhaptic.logs.ethercat_frames import (
     FrameDatagram,
@@ -116,3 +117,15 @@ def test_every_frame_of_a_real_drive_decodes_with_no_unknown_command(name: str, 
     found = [of for _, content in frames if (of := datagrams_of(content)) is not None]
     assert len(found) == count
     assert all(command_name(of.command) != "unknown" for frame in found for of in frame)
+
+
+@pytest.mark.slow
+def test_the_refusal_of_a_real_drive_is_in_our_words() -> None:
+    folder = os.environ.get("CANHAPTIC_CAPTURES")
+    if folder is None or not Path(folder).is_dir():
+        pytest.skip(f"no captures: CANHAPTIC_CAPTURES is {folder!r}, expected their folder")
+    frames = read_capture(Path(folder) / "pcap" / "kollmorgen_akd_soem_slaveinfo.pcapng.gz")
+    texts = [datagram_text(of, al_text) for _, content in frames for of in datagrams_of(content) or ()]
+    [said] = {text for text in texts if "0x001d" in text}
+    assert said.endswith("the length of the outputs is not what 0x1C12 assigns")
+    assert "assign one RxPDO" in al_remedy(0x1D)

@@ -22,8 +22,7 @@ def computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "net" / "eth1").mkdir(parents=True)
     (tmp_path / "net" / "eth1" / "flags").write_text("0x1003\n")
     (tmp_path / "route").write_text(HEAD + "eth0\t00000000\t010A0A0A\t0003\t0\t0\t0\t00000000\t0\t0\t0\n")
-    monkeypatch.setattr(ethernet_state, "_NET", tmp_path / "net")
-    monkeypatch.setattr(capabilities, "_INTERFACES", tmp_path / "net")
+    monkeypatch.setattr(capabilities, "INTERFACES", tmp_path / "net")
     monkeypatch.setattr(ethernet_state, "_ROUTES", tmp_path / "route")
     monkeypatch.setattr(capabilities, "permitted", lambda: frozenset({"CAP_NET_RAW", "CAP_NET_ADMIN"}))
     return tmp_path
