@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _SOURCE, _MARK, _NUMBER = 6, 0x02, 17  # place of the source address, the mark of a drive, number of a frame
 _FIRST, _HEAD = 16, 10  # [bytes] to the first datagram, and of a head
 _SLOW: Final = 0.05  # part of the sample time by which a slow frame is slower than half of them
+_RECENT: Final = 32  # frames within which one may come back late
 _FEW: Final = 0.05  # part of the frames up to which a number out of order is a gap
 _APWR, _FPRD, _FPWR, _BRD, _BWR, _LRD, _LWR, _LRW, _FRMW = 2, 4, 5, 7, 8, 10, 11, 12, 14
 _MOVING: Final = frozenset((1, 2, 3, 7, 8, 9, 13))  # commands whose address each drive counts up
@@ -149,15 +150,20 @@ class ListenedLine:
     def _exchanges(self, frames: list[CapturedFrame]) -> Iterator[_Exchange]:
         """Yield the frames of the master, each with its answer."""
         waiting: tuple[int, int, bytes] | None = None
+        lost: dict[int, int] = {}  # number of a frame without answer -> its place
         for number, (time, content) in enumerate(frames, 1):
             if not is_ethercat(content):
                 continue
             if not content[_SOURCE] & _MARK:
                 if waiting is not None:
+                    lost[waiting[2][_NUMBER]] = waiting[0]
                     yield from self._exchange(*waiting)
                 waiting = number, time, content
             elif waiting is None or waiting[2][_NUMBER] != content[_NUMBER]:
-                self._remarks.damaged("answers a frame that is not in the capture before it", number)
+                if number - lost.pop(content[_NUMBER], -_RECENT) < _RECENT:
+                    self._remarks.note("came back after the next one had left", number)
+                else:
+                    self._remarks.damaged("answers a frame that is not in the capture before it", number)
             else:
                 yield from self._exchange(*waiting, content, time - waiting[1])
                 waiting = None
@@ -200,12 +206,18 @@ class ListenedLine:
         return back[:at] != sent[:at]  # an interface fills a short frame up
 
     def _look_for_gaps(self, frames: list[CapturedFrame]) -> None:
-        """Name frames that are missing where the master numbers its frames one by one."""
-        numbers = [(of.content[_NUMBER], place) for place, of in enumerate(frames, 1)
-                   if is_ethercat(of.content) and not of.content[_SOURCE] & _MARK]  # fmt: skip
-        most = 1 + max((number for number, _ in numbers), default=0)
-        gaps = [place for (one, _), (other, place) in pairwise(numbers) if (one + 1) % most != other]
-        if len(gaps) <= _FEW * len(numbers):
+        """Name frames that are missing where the master numbers its frames one by one, and none was lost before."""
+        line = [(place, of.content) for place, of in enumerate(frames, 1) if is_ethercat(of.content)]
+        most = 1 + max((content[_NUMBER] for _, content in line), default=0)
+        gaps, before, since = list[int](), -1, 2 * most
+        for (place, content), (_, after) in pairwise((*line, (0, bytes(_NUMBER + 1)))):
+            if content[_SOURCE] & _MARK:
+                continue
+            if before >= 0 and (before + 1) % most != content[_NUMBER] and since > most:
+                gaps.append(place)
+            before, is_answered = content[_NUMBER], after[_SOURCE] & _MARK
+            since = since + 1 if is_answered else 0  # a lost frame keeps its number for some time
+        if len(gaps) <= _FEW * len(line):
             for place in gaps:
                 self._remarks.damaged("comes after a gap in the numbers of the frames: some are missing", place)
 

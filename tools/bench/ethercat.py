@@ -3,8 +3,8 @@
 Simulated drives down to the bytes, in virtual time. Rows: one scene on both buses; the hold in which a torque acts
 against the one that the account uses; three counts of held torques; random scenes judged by the plant's own energy
 (kept in `ethercat_truth_runs.jsonl`, so that the same command goes on where it was stopped); the phase lock; processor
-time of a cycle against CAN; a replay; mutated frames; and the size. `--quick` does a hundredth of the campaigns, and
-`--only` some kinds of rows; the others stay as they were recorded.
+time of a cycle against CAN; a replay; accounts derived from captures; twins that are commissioned; mutated frames; and
+the size. `--quick` does a hundredth of the campaigns, and `--only` some kinds of rows; the others stay as recorded.
 """
 
 import argparse
@@ -21,15 +21,19 @@ from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Any, Final
 
+from canhaptic.audit.recompute import Rederived, rederive
 from canhaptic.cycle import run
 from canhaptic.drive.ethercat.phase_lock import PhaseLock
-from canhaptic.logs.frame_log import LoggedFrame, RecordedLine, ReplayDepartureError, read_frame_log
+from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.frame_log import FrameLog, LoggedFrame, RecordedLine, ReplayDepartureError, read_frame_log
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import scene_from_mapping
 from canhaptic.scene.models import Scene
 from tests.drive.ethercat.rig_bench import Bench
 from tests.sim_drive.ethercat_fuzz import attack_drives, attack_master
 from tests.sim_drive.test_ethercat_counts import KINDS, isolated, line_with, obeys
+from tools.bench.commission_line import WANTED as TWINS
+from tools.bench.commission_line import rows as commissioned
 from tools.bench.demo import CONFIG, IN_CONTACT, demo_values
 from tools.bench.ethercat_wire import with_recorded
 from tools.bench.report import Row, kept_folder, publish
@@ -205,6 +209,55 @@ def replay(cycles: int) -> Iterator[Row]:
     yield Row("replay: one flipped bit is named", int(bool(named)), "", target="1", met=bool(named), note=named)
 
 
+def derived(runs: int, flips: int) -> Iterator[Row]:
+    """Yields whether captures alone give the logged account, with frames lost at random; what a flipped bit does."""
+    equal, dice = 0, random.Random(11)
+    with TemporaryDirectory() as made:
+        for seed in range(runs):
+            shares = {name: dice.choice((0.0, 0.003, 0.03)) for name in ("late", "lost", "answer_lost", "low_counter")}
+            values = on_ethercat(demo_values(dice.randint(1, 3), 1000.0), {"drift": 4e-5, **shares}, loss_limit=1.0,
+                                 stop_cycles=50, frames=dice.choice((1, 2, 2)))  # fmt: skip
+            found = _derived(scene_from_mapping(values, str(CONFIG), [*IN_CONTACT[:1], f"simulation.seed={seed}"]),
+                             Path(made))  # fmt: skip
+            equal += not found["differences"] and not found["damage"]
+        yield Row("derived: captures that give the logged account bit for bit", equal, f"of {runs}", target=f"{runs}",
+                  met=equal == runs)  # fmt: skip
+        scene, log = _on_both(demo_values(1, 1000.0), IN_CONTACT)[1], Path(made) / "run.pcap"
+        _derived(scene, Path(made))
+        frames, named = read_frame_log(log), 0
+        places = [n for n in range(len(frames) * 2 // 3, len(frames) - 400)
+                  if frames[n].is_answer and frames[n].content[50] in (10, 11)]  # fmt: skip
+        for place in dice.sample(places, flips):
+            begin, end = (60, 64) if frames[place].content[50] == 11 else (62, 68)  # outputs; position and torque
+            changed = bytearray(frames[place].content)
+            changed[dice.randrange(begin, end)] ^= 1 << dice.randrange(8)
+            other = [*frames[:place], frames[place]._replace(content=bytes(changed)), *frames[place + 1 :]]
+            named += _is_named(scene, other, Path(made))
+        name = "derived: flipped bits of position, torque or outputs that are named"
+        yield Row(name, named, f"of {flips}", target=f"{flips}", met=named == flips)
+
+
+def _derived(scene: Scene, folder: Path) -> Rederived:
+    """Runs a scene with both logs; returns the account from its capture."""
+    energy, bus = folder / "run.h5", folder / "run.pcap"
+    energy.unlink(missing_ok=True)
+    with build(scene, "free", energy, bus) as experiment:
+        experiment.run_through(800, lambda: False)
+    with EnergyLog.open(energy) as log:
+        return rederive(bus, scene, log)
+
+
+def _is_named(scene: Scene, frames: list[LoggedFrame], folder: Path) -> bool:
+    """Returns whether something is said of a capture with these frames."""
+    bus = folder / "changed.pcap"
+    with FrameLog(bus) as changed:
+        for frame in frames:
+            changed.note(frame.time, frame.content)
+    with EnergyLog.open(folder / "run.h5") as log:
+        found = rederive(bus, scene, log)
+    return bool(found["differences"] or found["damage"])
+
+
 def _play(scene: Scene, frames: list[LoggedFrame], cycles: int) -> RecordedLine:
     experiment = Experiment(scene, "free", None, None, recorded=frames)
     with experiment:
@@ -272,6 +325,8 @@ def main() -> None:
         "lock": lock,
         "virtual_time": lambda: virtual_time(100),
         "replay": lambda: replay(3_000),
+        "derived": lambda: derived(max(2, 20 // part), max(4, 40 // part)),
+        "commission": lambda: commissioned(max(2, TWINS // part)),
         "fuzz": lambda: fuzz(_FRAMES // part),
         "size": size,
     }
