@@ -26,7 +26,8 @@ from tools.on_ethercat import on_ethercat
 _SOURCE: Final = str(Path(__file__).resolve().parents[2] / "configs" / "commission_line.yaml")
 _KEPT: Final = "commission_line_runs.jsonl"
 WANTED: Final = 200
-_TOLERANCE: Final = 0.05  # of a scale
+_TOLERANCE: Final = 0.1  # of a scale, as commissioning has it
+_BORDER: Final = 0.03  # so near to it both verdicts are right
 _AS_OF_CURRENT: Final = (0.35, 0.71, 0.9, 1.41)  # torque over what 0x6076 seems to state
 
 
@@ -114,8 +115,9 @@ def _judged(rows: dict[str, StepFinding], truth: dict[str, Any]) -> tuple[list[s
 
 def _is_scale(found: StepFinding, scale: float) -> bool:
     """Returns whether a scale was found as it is, and agrees or differs as it should."""
-    agrees = abs(scale - 1.0) <= _TOLERANCE
-    return abs(float(found.found) - scale) <= _TOLERANCE * scale and (found.verdict is StepVerdict.AGREES) is agrees
+    apart = abs(scale - 1.0)
+    is_right = abs(apart - _TOLERANCE) <= _BORDER or (found.verdict is StepVerdict.AGREES) is (apart <= _TOLERANCE)
+    return is_right and abs(float(found.found) - scale) <= _TOLERANCE * scale
 
 
 def rows(runs: int, first: int = 0, jobs: int = 1) -> Iterator[Row]:
