@@ -32,8 +32,9 @@ from canhaptic.sim.drive.can.process_data import Content, Handler, ProcessData
 from canhaptic.sim.drive.can.sdo_server import SdoServer
 from canhaptic.sim.drive.profile import emergency as emcy
 from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.power_stage import servo_of
 from canhaptic.sim.drive.profile.reactions import Reactions
-from canhaptic.sim.drive.profile.servo import Motor, Servo, servo_of
+from canhaptic.sim.drive.profile.servo import Motor, Servo
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.profile.timers import TimedDrives, Timers
 

@@ -17,8 +17,9 @@ from canhaptic.sim.drive.ethercat.mailbox import Mailbox
 from canhaptic.sim.drive.ethercat.process_image import ProcessImage
 from canhaptic.sim.drive.profile import emergency as emcy
 from canhaptic.sim.drive.profile.object_store import ObjectStore
+from canhaptic.sim.drive.profile.power_stage import servo_of
 from canhaptic.sim.drive.profile.reactions import Reactions
-from canhaptic.sim.drive.profile.servo import Motor, servo_of
+from canhaptic.sim.drive.profile.servo import Motor
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from canhaptic.sim.drive.profile.timers import Timers
 

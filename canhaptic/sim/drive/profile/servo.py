@@ -242,15 +242,6 @@ def _homing_of(store: ObjectStore, motor: Motor) -> "Homing | None":
     return Homing(store, motor)
 
 
-def servo_of(store: ObjectStore, motor: Any, parameters: SimulatedDriveParameters) -> "Servo":
-    """Return the power stage of a drive: one that follows torques, or one that follows velocities."""
-    if parameters.display is None:
-        return Servo(store, motor, parameters)
-    from canhaptic.sim.drive.profile.admittance_servo import AdmittanceServo
-
-    return AdmittanceServo(store, motor, parameters)
-
-
 def _fault_of(parameters: SimulatedDriveParameters) -> "FaultyTorque | None":
     if not parameters.fault:
         return None
