@@ -68,7 +68,7 @@ def _next_step(session: Session, missing: Sequence[str], error: CanHapticError |
         return ""
     if missing[:1] == ["stopped"]:
         return "stopped"
-    return str(error or session.report.next_step(_required(session.scene)) or missing[0])
+    return str(error or session.report.next_step(_steps_of(session.scene)[1]) or missing[0])
 
 
 def _mark(scene: Scene, todo: str) -> list[Change]:
@@ -92,26 +92,22 @@ def _last_sentence(todo: str, place: Path | None, arguments: argparse.Namespace,
 def walk(session: Session, duration: float) -> tuple[list[str], CanHapticError | None]:
     """Take the rig through all steps; return the missing or failed items, and the error that ended the session."""
     scene, error = session.scene, None
+    take, required = _steps_of(scene)
     try:
-        if _has_displays(scene):
-            commission_displays(session)
-        else:
-            commission(session, duration)
+        take(session, duration)
     except StartStoppedError:
         pass  # of a signal, which the caller sees too
     except CanHapticError as raised:
         error = raised
     names = [axis.parameters.name for axis in scene.axes]
-    return session.report.unfinished(names, _required(scene)), error
+    return session.report.unfinished(names, required), error
 
 
-def _has_displays(scene: Scene) -> bool:
-    return any(axis.parameters.admittance is not None for axis in scene.axes)
-
-
-def _required(scene: Scene) -> Sequence[str]:
-    """Items that must be verified for each axis."""
-    return OF_DISPLAYS if _has_displays(scene) else OF_TORQUES
+def _steps_of(scene: Scene) -> tuple[Callable[[Session, float], None], Sequence[str]]:
+    """Return what takes a rig through its steps, and the items that must be verified for each axis."""
+    if any(axis.parameters.causality.holds for axis in scene.axes):
+        return (lambda session, _: commission_displays(session)), OF_DISPLAYS
+    return commission, OF_TORQUES
 
 
 def _place(scene: Scene, arguments: argparse.Namespace) -> Path | None:

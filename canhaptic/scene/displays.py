@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, cast
 from canhaptic.control.admittance import build_display_controller, build_display_group
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.motion_checks import MassAsked, MassFelt
-from canhaptic.errors import InputError, ParameterError
+from canhaptic.errors import ParameterError
 from canhaptic.scene.buses import BusParameters
-from canhaptic.scene.models import AxisScene, Port, Scene
+from canhaptic.scene.models import AxisScene, Port
 
 if TYPE_CHECKING:
     from canhaptic.control.mechanisms.kinematics import Kinematics
@@ -90,15 +90,3 @@ def display_faults(axis: AxisScene, bus: BusParameters, *, is_real: bool) -> Ite
     if missing := ", ".join(key for key, value in needed.items() if value is None and is_real):
         text = "an admittance display on a real interface does not move without, add it"
         yield "admittance", f"{missing}: missing; {text}"
-
-
-def refuse_displays(scene: Scene, command: str) -> None:
-    """Refuse a scene with admittance displays in a command for impedance displays only.
-
-    Raises:
-        InputError: An axis is an admittance display.
-    """
-    names = ", ".join(axis.parameters.name for axis in scene.axes if axis.parameters.admittance is not None)
-    if names:
-        text = f"{scene.source}: {names}: {command} takes impedance displays (motion in, torque out) only"
-        raise InputError(f"{text}; use canhaptic run, touch, compare, sweep, design, accuracy, check or inspect")

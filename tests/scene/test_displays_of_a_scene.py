@@ -10,11 +10,11 @@ import pytest
 from canhaptic.control.admittance.port import AdmittanceProperties
 from canhaptic.control.motion_checks import MassAsked, MassFelt
 from canhaptic.errors import InputError, ParameterError
+from canhaptic.lab.loop.axis_loop import require_single_axes
 from canhaptic.scene.displays import (
     display_faults,
     display_properties,
     mass_felt,
-    refuse_displays,
 )
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import AxisScene, Scene
@@ -155,10 +155,11 @@ def test_a_sensor_of_a_real_display_must_be_able_to_count_as_frozen() -> None:
     assert text.startswith("admittance.force.frozen_after: missing")
 
 
-def test_a_command_for_impedance_displays_names_those_that_are_none() -> None:
-    refuse_displays(loaded("demo.yaml"), "arena")
-    with pytest.raises(InputError, match="x, y: arena takes impedance displays"):
-        refuse_displays(loaded("admittance/two_axes.yaml"), "arena")
+def test_a_command_for_torque_axes_names_a_port_that_is_none() -> None:
+    require_single_axes(loaded("demo.yaml"), "arena")
+    for name, port in (("admittance/two_axes.yaml", "x"), ("xy_box.yaml", "stage")):
+        with pytest.raises(InputError, match=f"{port}: is no torque axis by itself; arena judges"):
+            require_single_axes(loaded(name), "arena")
 
 
 def test_a_group_is_of_one_kind() -> None:

@@ -13,7 +13,7 @@ from canhaptic.files import scene_title
 from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.loop.axis_loop import is_display
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.design.search import design, display_design_report, display_snippet
+from canhaptic.lab.studies.design.search import design, mass_report, mass_snippets
 from canhaptic.lab.studies.runner import Progress
 from canhaptic.quantities import ACCOUNT
 from canhaptic.scene.method import plant_errors
@@ -32,14 +32,14 @@ def execute(arguments: argparse.Namespace) -> int:
     scene = scene_of(arguments)
     for line in plant_errors(scene):
         write_note(f"  {line}")
-    displays = is_display(scene)
-    with scene_progress("trying masses" if displays else "trying walls") as progress:
+    of_walls = "walls", snippet, design_report
+    what, lines, report = ("masses", mass_snippets, mass_report) if is_display(scene) else of_walls
+    with scene_progress(f"trying {what}") as progress:
         found = design(
             scene, arguments.margin, arguments.tolerance, arguments.engine,
             lambda tried, most: progress(Progress(tried, most, 0)),
         )  # fmt: skip
-    every = {name: display_snippet(of) for name, of in found["displays"].items()} if displays else snippet(found)
-    show(arguments, {**found, "yaml": every}, lambda: (display_design_report if displays else design_report)(found))
+    show(arguments, {**found, "yaml": lines(found)}, lambda: report(found))
     return 0
 
 

@@ -26,7 +26,6 @@ from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import new
 from canhaptic.scene.components import ComponentOf, ComponentSpec
-from canhaptic.scene.displays import refuse_displays
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import ALGORITHM, FAR, AxisScene, AxisSimulation, MechanismScene, Port, Scene
@@ -258,14 +257,13 @@ def require_single_axes(scene: Scene, command: str) -> None:
     Raises:
         InputError: A group renders on an axis, or an axis is an admittance display or coupled with a far side.
     """
-    refuse_displays(scene, command)
     require_near(scene)
-    for group in scene.groups:
-        raise InputError(
-            f"{scene.source}: group {group.name!r} renders on the axes {', '.join(group.axes)} together, expected "
-            f"axes outside groups: {command} judges one axis at a time; `canhaptic run` and `canhaptic inspect` give "
-            "the account of a group"
-        )
+    for port in scene.ports:
+        if port.section or port.causality.holds:
+            raise InputError(
+                f"{scene.source}: {port.name}: is no torque axis by itself; {command} judges one such axis at a time; "
+                "use canhaptic run, touch, compare, sweep, design, accuracy, check or inspect"
+            )
 
 
 def require_near(scene: Scene) -> None:

@@ -10,13 +10,13 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
-from canhaptic.errors import InputError, ParameterError
+from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.scalar import run_display, run_scalar
 from canhaptic.lab.figures.figures import DISPLAY_METRICS
 from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt
 from canhaptic.lab.loop.axis_loop import parts_of
 from canhaptic.scene.build import build, experiment_account
-from canhaptic.scene.displays import display_properties, refuse_displays
+from canhaptic.scene.displays import display_properties
 from canhaptic.scene.load import load_scene
 
 SCENES = Path(__file__).parents[3] / "configs" / "admittance"
@@ -112,12 +112,8 @@ def test_a_display_commands_speed_in_steps_of_its_counts() -> None:
         assert display_properties(changed).speed_quantum == pytest.approx(quantum, rel=1e-12)
 
 
-def test_displays_are_refused_by_name_where_a_torque_is_sent_and_other_axes_where_it_is_not() -> None:
-    scene = load_scene(MASS)
-    with pytest.raises(InputError, match=f"{scene.axes[0].parameters.name}: replay takes impedance displays .*; use"):
-        refuse_displays(scene, "replay")
-    axis = scene.axes[0]
+def test_a_torque_axis_has_no_properties_of_a_display() -> None:
+    axis = load_scene(MASS).axes[0]
     torque = replace(axis, parameters=axis.parameters.model_copy(update={"admittance": None}))
-    refuse_displays(replace(scene, axes=(torque,)), "replay")
     with pytest.raises(ParameterError, match="has no `admittance`"):
         display_properties(torque)

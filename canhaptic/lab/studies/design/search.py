@@ -420,13 +420,17 @@ def _with_mass(scene: Scene, mass: float) -> Scene:
     return scene.with_port(port._replace(rendered=heavier))
 
 
-def display_snippet(found: Row) -> str:
-    """Return the mass as YAML for a scene."""
+def mass_snippets(result: Row) -> dict[str, str]:
+    """Return each mass as YAML for a scene; `result` as `design` returns it for displays."""
+    return {name: _snippet(found) for name, found in result["displays"].items()}
+
+
+def _snippet(found: Row) -> str:
     environment = {"type": "virtual_mass", "mass": f"{found['mass']:g} {found['unit']}"}
     return str(yaml.safe_dump({"environment": environment}, sort_keys=False))
 
 
-def display_design_report(result: Row) -> RenderableType:
+def mass_report(result: Row) -> RenderableType:
     """Return the text of a design for a terminal; `result` as `design_displays` returns it."""
     said = f"   target: within {100.0 * result['tolerance']:g} %, {100.0 * result['margin']:g} % reserve"
     parts = [Text.assemble(" ", (scene_title(result["scene"]), "bold"), said)]
@@ -436,7 +440,7 @@ def display_design_report(result: Row) -> RenderableType:
         lines = (
             "",
             f" {name}: lightest mass, tried with {found['hands']} hands",
-            display_snippet(found),
+            _snippet(found),
             f" masses tried that pass: {found['passes'][0]:.3g} to {found['passes'][1]:.3g} {found['unit']}",
             f" no mass over {heaviest:.3g} {found['unit']} was tried; the one to use has the reserve on the lightest",
             f" mass felt: {100.0 * low:.1f} to {100.0 * high:.1f} % of requested",
