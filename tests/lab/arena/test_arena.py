@@ -128,7 +128,7 @@ def test_an_own_entry_runs_where_it_is_allowed_and_counts_as_what_it_is(tmp_path
     ("words", "said"),
     [
         (["--scenes", "nowhere"], "nor one of: beyond_colgate"),
-        (["--scenes", "configs/two_handles.yaml"], "expected"),
+        (["--scenes", "configs/two_handles.yaml"], "is no torque axis by itself"),
         (["--algorithms", "gaurded"], "gaurded"),
         (["--entry", "nowhere.py:Mine", "--allow-code"], "nowhere.py"),
         (["--delays", "2"], "expected 0"),
