@@ -55,9 +55,8 @@ def test_wireshark_finds_no_malformed_frame_in_the_demo_and_names_each_as_we_do(
     if suffix == ".log":  # Wireshark reads candump text without the direction at the end of each line
         path.write_text(re.sub(r" [TR]$", "", path.read_text(), flags=re.MULTILINE))
     assert tshark(path, "-Y", "_ws.malformed") == []
-    assert (
-        len(tshark(path, "-Y", "canopen.sdo.abort_code")) == 1
-    )  # 0x60B2, which the start asks for and few drives have
+    # 0x100C and 0x60B2, which the start asks for and few drives have
+    assert len(tshark(path, "-Y", "canopen.sdo.abort_code")) == 2
     assert wireshark_kinds(path) == kinds
     assert Counter(kinds)["TPDO1"] >= 2000
     assert Counter(kinds)["SDO"] > 100
