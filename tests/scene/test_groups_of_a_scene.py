@@ -217,7 +217,10 @@ def test_check_prints_the_groups(path: Path, capsys: pytest.CaptureFixture[str])
 def test_the_schema_knows_the_keys_of_groups_and_mechanisms() -> None:
     schema = scene_schema()
     group = schema["properties"]["groups"]["anyOf"][0]["items"]
-    networks: dict[str, Any] = {n["properties"]["type"]["const"]: n for n in group["properties"]["network"]["anyOf"]}
+    choices = group["properties"]["network"]["anyOf"]
+    networks: dict[str, Any] = {n["properties"]["type"]["const"]: n for n in choices if n["type"] == "object"}
+    [summed] = [n["items"]["oneOf"] for n in choices if n["type"] == "array"]
+    assert {"box", "sphere"} <= {n["properties"]["type"]["const"] for n in summed}
     assert {"box", "sphere", "coupled_handles"} <= set(networks)
     assert "stiffness" in networks["box"]["properties"]
     algorithms = [choice["properties"] for choice in group["properties"]["passivity"]["anyOf"]]

@@ -174,6 +174,7 @@ def test_every_type_can_be_set_or_one_line_says_what_it_needs(scene: str, key: s
                 r"--set (?!axes.0.passivity.algorithm|passivity.algorithm|environment.type)(\S+)=('[^']+'|[\w.]+)",
                 fault,
             )
+            needed = needed or [(key, other) for other in re.findall(r"use the algorithm `(\w+)`", fault)]
             assert needed, fault
             in_place = [f"{path}={value.strip(chr(39))}" for path, value in needed]
             if name == "two_sided_wall":
