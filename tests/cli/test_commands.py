@@ -18,7 +18,7 @@ from canhaptic.cycle import run
 from canhaptic.drive.can.door import open_bus
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build
-from canhaptic.scene.buses import can_bus
+from canhaptic.scene.buses import can_bus, kind_of
 from canhaptic.scene.far_side import build_drive_group
 from canhaptic.scene.load import load_scene
 from canhaptic.view.terminal import RunProgress
@@ -319,15 +319,15 @@ def test_the_schema_knows_every_key_of_every_shipped_configuration(capsys: Captu
     for path in CONFIGS.glob("*.yaml"):
         scene = load_scene(path)
         properties = schema["properties"]
-        one, several = properties["bus"]["anyOf"]
-        of_first = several["prefixItems"][0] if scene.further_buses else one
+        *alone, several = properties["bus"]["anyOf"]
+        kind = int(kind_of(scene.bus) == "ethercat")
+        of_first = (several["prefixItems"][0]["anyOf"] if scene.further_buses else alone)[kind]
         assert scene.bus.model_fields_set <= of_first["properties"].keys()
         for bus in scene.further_buses:
             assert bus.model_fields_set <= several["items"]["properties"].keys()
         assert scene.axes[0].parameters.model_fields_set <= properties["axes"]["items"]["properties"].keys()
-        [wall] = [
-            s for s in properties["environment"]["anyOf"] if s["properties"]["type"]["const"] == "spring_damper_wall"
-        ]
+        models = [s for s in properties["environment"]["anyOf"] if s["type"] == "object"]  # else a list, their sum
+        [wall] = [s for s in models if s["properties"]["type"]["const"] == "spring_damper_wall"]
         assert "stiffness" in wall["required"]
         names = [s["properties"]["algorithm"]["const"] for s in properties["passivity"]["anyOf"]]
         assert scene.axes[0].group or scene.axes[0].passivity.name in names
