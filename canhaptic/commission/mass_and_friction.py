@@ -35,6 +35,9 @@ _FEWEST_OF_A_RANGE: Final = 8
 """Windows in each direction that a range of speed needs."""
 _OVERLAP: Final = 2.0
 """Windows begin every quarter of their length: n of them hold the information of n / 4 that do not overlap."""
+_LATE: Final = range(-2, 6)
+"""Holds after which a torque may act, counted from where it is booked: later or, read back late, earlier."""
+_REST: Final = 1.5  # holds beside the best whole number of them
 _STILL: Final = 1e-12  # [m or rad] in one sample time: the sign of the speed is then 0
 
 
@@ -69,6 +72,45 @@ def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: 
         return None
     (m, b, c, f), (m_error, b_error, c_error, f_error), rest = solved
     return Dynamics(m, m_error, b, b_error, c, c_error, f, rest, f_error)
+
+
+def mass_of_late_torque(
+    positions: _Array, applied: _Array, sample_time: float, half_base: int
+) -> tuple[float, float] | None:
+    """Return the mass and its standard deviation where it is not known when the torque acts [kg or kg*m^2].
+
+    With damping b, a torque that acts d later than booked makes the mass of `estimate` too large by b d. So the torque
+    is delayed by the whole holds that explain the motion best, and its changes have a column of their own for the rest,
+    as in `estimate_lateness`. The deviation holds the masses of all delays that explain the motion about as well.
+    Arguments as for `estimate`; None: too little motion, or another lateness than any drive has.
+    """
+    starts = _unbroken(positions, half_base, np.arange(0, len(positions) - 2 * half_base, max(1, half_base // 2)))
+    if len(starts) < _FEWEST_EQUATIONS or np.nanmin(positions) == np.nanmax(positions):
+        return None
+    fits = list[tuple[float, float, float, float]]()  # rms acceleration not explained, mass, its error, rest of the lag
+    for holds in _LATE:
+        late = _delayed(applied, holds)
+        matrix, torque = _equations(positions, late, sample_time, half_base, starts)
+        changes = _in_windows(np.diff(late, prepend=0.0)[1:], starts, half_base)
+        solved = _solve(np.column_stack([matrix, changes]), torque)
+        if solved is not None:
+            (mass, *_, rest), (error, *_, rest_error), residual = solved
+            outside = abs(rest) - SURE * _OVERLAP * rest_error
+            fits.append((residual / abs(mass), mass, _OVERLAP * error, outside))
+    if not fits:
+        return None
+    best, mass, error, outside = min(fits)
+    # A likelihood ratio of two standard deviations; the windows hold less information than their number
+    worst = best * math.exp(0.5 * SURE**2 * _OVERLAP**2 / len(starts))
+    possible = [of[1] for of in fits if of[0] <= worst]
+    return None if outside > _REST else (mass, max(error, max(possible) - mass, mass - min(possible)))
+
+
+def _delayed(applied: _Array, holds: int) -> _Array:
+    """Return the torques so many holds later, 0 before the first and after the last."""
+    late = np.zeros_like(applied)
+    late[max(0, holds) : len(late) + min(0, holds)] = applied[max(0, -holds) : len(late) - max(0, holds)]
+    return late
 
 
 class FrictionCurve(NamedTuple):

@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.commission import mass_and_friction
-from canhaptic.commission.mass_and_friction import SURE, Dynamics, FrictionCurve, estimate, friction_curve, is_dear
+from canhaptic.commission.mass_and_friction import (
+    SURE,
+    Dynamics,
+    FrictionCurve,
+    estimate,
+    friction_curve,
+    is_dear,
+    mass_of_late_torque,
+)
 from canhaptic.commission.session import (
     TRAVELS,
     CommissioningLimits,
@@ -387,10 +395,10 @@ def _by_mass(session: Session, axis: int, first: Pulse) -> float | None:
         if law.tripped or session.stop_requested():
             return None
         positions = law.regular_positions() / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
-        found = estimate(positions, np.array(law.applied), session.sample_time, longest)
+        found = mass_of_late_torque(positions, np.array(law.applied), session.sample_time, longest)
         # A mass this sharp still verifies a scale
-        if found is not None and 0.0 < SURE * found.mass_error <= 0.05 * found.mass:
-            return known / found.mass
+        if found is not None and 0.0 < SURE * found[1] <= 0.05 * found[0]:
+            return known / found[0]
         if torque >= most:
             return None
         torque = min(most, 2.0 * torque)

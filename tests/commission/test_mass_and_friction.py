@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.commission.mass_and_friction import _Array, estimate, friction_curve
-from canhaptic.commission.session import Guard, OpenLoop, doublet, sweep
+from canhaptic.commission.mass_and_friction import _Array, estimate, friction_curve, mass_of_late_torque
+from canhaptic.commission.session import Guard, OpenLoop, doublet, reversals, sweep
 from canhaptic.errors import ControlError
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
@@ -71,8 +71,30 @@ def test_counts_coarser_than_a_window_widen_the_error_and_make_no_mass_smaller(c
     assert abs(found.damping - 0.1) < 4.0 * found.damping_error
 
 
+@pytest.mark.parametrize("late", [-1, 0, 1, 3])
+@pytest.mark.parametrize("count", [0.0, 1e-5])
+def test_a_mass_is_known_whenever_its_torque_acts(late: int, count: float) -> None:
+    """A tenth of the speed is lost in each hold: each hold of lateness makes the mass of `estimate` a tenth larger."""
+    torques = np.array([0.0, *reversals(1.0, 30, 32), *[0.0] * 5])
+    positions = moved(0.05, 5.0, torques)
+    positions = np.round(positions / count) * count if count else positions
+    booked = np.concatenate([[0.0], np.roll(torques, -late)])
+    found, blind = mass_of_late_torque(positions, booked, TIME, 30), estimate(positions, booked, TIME, 30)
+    assert found is not None
+    assert blind is not None
+    assert found[0] == pytest.approx(0.05, rel=0.005)
+    assert blind.mass == pytest.approx(0.05 * (1.0 + 0.1 * late), rel=0.05)
+
+
+def test_a_lateness_that_no_drive_has_gives_no_mass() -> None:
+    torques = np.array([0.0, *reversals(1.0, 30, 32)])
+    booked = np.concatenate([[0.0], np.roll(torques, -12)])
+    assert mass_of_late_torque(moved(0.05, 5.0, torques), booked, TIME, 30) is None
+
+
 def test_an_axis_that_did_not_move_gives_no_estimate() -> None:
     assert estimate(np.zeros(1000), np.ones(1000), TIME, 20) is None
+    assert mass_of_late_torque(np.zeros(1000), np.ones(1000), TIME, 20) is None
 
 
 def test_too_short_a_record_gives_no_estimate() -> None:

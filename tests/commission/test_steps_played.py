@@ -322,6 +322,22 @@ def test_a_known_mass_gives_the_scale_of_the_torque() -> None:
     assert row(verified(FreeMass(MASS, TIME), "mass", number=0.5), SCALE).found == "2"
 
 
+class LateMass(FreeMass):
+    """1.4 times the booked torque acts a hold late on a light mass that loses a tenth of its speed in a hold."""
+
+    def advance(self, command: float) -> float:
+        acts, self._waits = getattr(self, "_waits", 0.0), command
+        self._speed *= 0.9
+        super().advance(1.4 * acts)
+        return command
+
+
+def test_a_torque_that_acts_late_on_a_damped_mass_gives_its_scale_all_the_same() -> None:
+    session = verified(LateMass(0.078, 0.008, 1e-6), "mass", "bus.rate=125", number=0.078, travel=0.08)
+    assert float(row(session, SCALE).found) == pytest.approx(1.4, rel=0.05)
+    assert row(session, SCALE).verdict is StepVerdict.DIFFERS
+
+
 def test_the_parts_of_a_doublet_are_four_cycles_at_least() -> None:
     """A light axis at a slow rate would leave its travel within one or two, which no encoder resolves."""
     session = verified(FreeMass(0.00083, 0.01), "mass", "bus.rate=100", number=0.00083, travel=0.08)
