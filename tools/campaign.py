@@ -200,10 +200,10 @@ def _in_child(case: Case, seed: str, folder: Path) -> dict[str, Any]:
 
 
 def record(folder: Path) -> None:
-    """Records the run whose logs are damaged, and lets every command import what it needs, once for all cases."""
+    """Records the run whose logs are damaged, with a contact, and has every command import what it needs."""
     session = Session()
     logs = ("--log", folder / "run.h5", "--bus-log", folder / "run.log")
-    assert session("run", DEMO, "--pace", "free", "--duration", "0.5", *logs) == 0
+    assert session("run", DEMO, "--pace", "free", "--duration", "1.2", *logs) == 0
     assert session("inspect", folder / "run.h5", "--recompute", "--check", "in >= 0") == 0
     assert session("replay", folder / "run.log", "--config", DEMO) == 0
     assert session("decode", folder / "run.log") == session("check", DEMO) == 0
