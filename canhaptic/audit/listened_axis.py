@@ -77,7 +77,7 @@ class HeardAxis:
             self._fields.setdefault(field.object_index, self._signed(field))
 
     def learn(self, access: Access) -> None:
-        """Take the rated torque from an object that the drive told or took."""
+        """Take the rated torque from an object that was read from the drive or written to it."""
         if access[:2] == (od.RATED_TORQUE, 0):
             self._rated_counts = int.from_bytes(access.value, "little")
 

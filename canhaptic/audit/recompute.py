@@ -314,11 +314,11 @@ def line_of(scene: Scene, remarks: Remarks) -> "ListenedLine":
 def cycles_on_line(bus_log: str | Path, scene: Scene) -> int | None:
     """Return the cycles of a recorded run of a line, with those of its stop; None without one. Errors as `samples_of`.
 
-    No frame says where a stop began, but the drives answer as enabled until they were told to leave.
+    No frame says where a stop began, but the drives answer as enabled until the command to leave.
     """
     line = line_of(scene, Remarks())
     enabled = [n for n, _ in enumerate(line.rows(bus_log)) if all(axis.is_enabled for axis in line.axes)]
-    answered = 1 + scene.bus.delay  # once more than they were told to
+    answered = 1 + scene.bus.delay  # once more after the command to leave
     return max(1, enabled[-1] - enabled[0] + 1 - answered) if enabled else None
 
 

@@ -1,7 +1,7 @@
 """What a program that is slower than the SYNC asks for: a wall, or a spring to a point, at this rig's own rate.
 
 A program says something new now and then, and it may say anything: a wall that appears, jumps over the hand, moves,
-turns stiffer or goes. Whatever a new word would change of the effort at once is kept as an offset, and the offset
+turns stiffer or goes. The change of the effort that a new word would make at once is kept as an offset, and the offset
 fades: by at most a part of the torque limit in a hold, and towards more effort only as the tank pays. So the effort of
 the model changes in a step only where the hand moves. No promise rests on this; the guard bounds what is sent.
 """
@@ -12,7 +12,7 @@ from typing import Final
 SPRING: Final = 2.0
 """Kind of a spring to a point; 1.0 and -1.0 are walls that a hand presses upward and downward, 0.0 is nothing."""
 _AHEAD: Final = 0.05
-"""Time for which a wall is believed to move on as it was told [s]: three turns of a program at 60 Hz."""
+"""Time for which a wall is believed to move on as the last word said [s]: three turns of a program at 60 Hz."""
 _MOST: Final = 1e9
 """Effort beyond which a model is cut, so that it stays a number [N or N*m]."""
 _LED: Final = 0.02
@@ -23,9 +23,9 @@ _LED: Final = 0.02
 class WorldState:
     """What a program has said, and what is rendered of it."""
 
-    stiffness: float = 0.0  # as told [N/m or N*m/rad]
-    damping: float = 0.0  # as told [N*s/m or N*m*s/rad]
-    told_at: float = 0.0  # newest place that was told [m or rad]
+    stiffness: float = 0.0  # as said last [N/m or N*m/rad]
+    damping: float = 0.0  # as said last [N*s/m or N*m*s/rad]
+    told_at: float = 0.0  # newest place that was said [m or rad]
     told_speed: float = 0.0  # [m/s or rad/s]
     age: float = 0.0  # of that word [s]
     kind: float = 0.0  # of what was rendered in the hold before
@@ -72,7 +72,7 @@ def led_effort(
 
     Args:
         state: What was rendered before.
-        kind: Kind of the model that was told last.
+        kind: Kind of the model that was said last.
         at: Its place [m or rad].
         speed: Its speed [m/s or rad/s].
         position: Position of the hand [m or rad].

@@ -44,7 +44,7 @@ def far_findings(scene: Scene) -> list[LinkFigure]:
 
 
 def _program(scene: Scene) -> LinkFigure:
-    """Return what a world's scene needs beside it."""
+    """Return what a world's scene needs besides it."""
     far: Any = scene.far
     rig, world = ("{}:{}".format(*place) for place in far.places)
     text = f"a program that iterates over canhaptic.World at {world}, and `canhaptic run {scene.source} --pace real` at"
@@ -64,7 +64,7 @@ def _reserve(scene: Scene, axis: AxisScene) -> LinkFigure:
 
 
 def _closing(scene: Scene, axis: AxisScene) -> LinkFigure:
-    """Return in what time the slowest of some hands closes the link, of whose other side nobody moves."""
+    """Return in what time the slowest of some hands closes the link, whose other side does not move."""
     idle, unit = "", f"{axis.parameters.unit}/s"
     for speed in _SPEEDS[axis.parameters.unit]:
         own, both = earned_after(scene, axis, speed)

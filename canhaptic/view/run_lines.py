@@ -265,7 +265,7 @@ def _state(far: Mapping[str, float]) -> str:
 
 
 def link_status(summary: Callable[[], Any]) -> Iterator[str]:
-    """Yield at each call the state of a link in a few words, and whether the far side limited it since told before.
+    """Yield at each call the state of a link in a few words, and whether the far side limited it since the call before.
 
     Args:
         summary: Returns the summary of the link so far.
@@ -273,8 +273,8 @@ def link_status(summary: Callable[[], Any]) -> Iterator[str]:
     before = 0
     while True:
         far: Mapping[str, float] = summary()._asdict()
-        told, before = before, int(far["cut"] + far["limited"])
-        yield _state(far) + "; limited_by: far" * (before > told)
+        last, before = before, int(far["cut"] + far["limited"])
+        yield _state(far) + "; limited_by: far" * (before > last)
 
 
 def pair_lines(result: Result) -> Iterator[RenderableType]:

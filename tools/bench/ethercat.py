@@ -155,7 +155,7 @@ def _cycles_to_lock(ppm: int, phase: int) -> int:
 
 
 def virtual_time(blocks: int) -> Iterator[Row]:
-    """Yields the processor time of a cycle at 4 kHz, and beside it on CAN, at the rate that its bus carries."""
+    """Yields the processor time of a cycle at 4 kHz, and next to it that on CAN, at the rate that its bus carries."""
     for axes, rate in ((1, 1000), (6, 250)):
         values = demo_values(axes, rate)
         fast = on_ethercat(demo_values(axes, _FAST))
@@ -269,7 +269,7 @@ def _play(scene: Scene, frames: list[LoggedFrame], cycles: int) -> RecordedLine:
 def fuzz(frames: int) -> Iterator[Row]:
     """Yields what mutated frames do; an exception or a hang ends the benchmark."""
     torques = attack_drives(frames, seed=7)
-    name = "fuzz: mutated frames that left a torque nobody asked for"
+    name = "fuzz: mutated frames that left a torque that was not asked for"
     yield Row(name, torques, f"of {frames}", target="0", met=torques == 0)
     answers = attack_master(max(1, frames // _ANSWERS_A_RUN), seed=7)
     yield Row("fuzz: answers to the master, some mutated", answers, "", target=f">= {frames}", met=answers >= frames)

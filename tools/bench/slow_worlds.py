@@ -124,7 +124,7 @@ def pressed(log: Path) -> tuple[float, float]:
 
 
 def in_mujoco() -> list[Row]:
-    """Returns what a hand feels of a ball in MuJoCo, and what the rig gives out, beside the world's held force."""
+    """Returns what a hand feels of a ball in MuJoCo, and what the rig gives out, next to the world's held force."""
     rows = []
     for name, rig in (("local wall", behind_a_wall), ("the world's force, held", by_held_force)):
         is_ours = rig is behind_a_wall

@@ -109,7 +109,7 @@ _READ: Final[Mapping[str, Callable[[Any], float]]] = {
     "velocity": attrgetter("motor.velocity"),
     "command": attrgetter("torque"),
 }
-"""Vector beside the force -> its reading from a servo."""
+"""Vector other than the force -> its reading from a servo."""
 
 
 class _HandRun:

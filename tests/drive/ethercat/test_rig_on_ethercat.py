@@ -195,7 +195,7 @@ def test_a_host_that_is_held_up_before_its_frame_counts_the_holds_of_the_drives(
         held_up[:] = [late] if k == 10 else []
         bench.rig.sync()
         bench.rig.write_torques([0.0])
-        passed += bench.rig.periods * (k > 0)  # what the algorithms are told
+        passed += bench.rig.periods * (k > 0)  # what the algorithms are given
         if bench.axes[0].is_complete:
             counted.append((bench.rig.deadline_index, bench.line._taken))
             assert passed == bench.rig.deadline_index
