@@ -1,6 +1,7 @@
 # The names for user-defined parts; `extending.py` imports each where it is first used.
 
 from canhaptic.control.balance import AT_REST as AT_REST
+from canhaptic.control.balance import GroupBalance as GroupBalance
 from canhaptic.control.environments import ENVIRONMENTS as ENVIRONMENTS
 from canhaptic.control.environments.own_environment import Environment as Environment
 from canhaptic.control.environments.own_environment import OwnEnvironment as OwnEnvironment
@@ -10,7 +11,6 @@ from canhaptic.control.mechanisms.kinematics import Limit as Limit
 from canhaptic.control.mechanisms.kinematics import Pose as Pose
 from canhaptic.control.mechanisms.kinematics import UserFunction as UserFunction
 from canhaptic.control.multi_axis import NETWORKS as NETWORKS
-from canhaptic.control.multi_axis.group_controller import GroupBalance as GroupBalance
 from canhaptic.control.multi_axis.group_controller import GroupController as GroupController
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment as NetworkEnvironment
 from canhaptic.control.passivity import ALGORITHMS as ALGORITHMS

@@ -117,6 +117,27 @@ AT_REST: Final = EnergyBalance(*(0.0,) * 11, Branch.FREE.value, 0.0, Certificate
 """The balance of the first call after a reset: nothing held, nothing stored."""
 
 
+class GroupBalance(NamedTuple):
+    """One step of a group: the torques to apply next, and the account of the hold that ended. Energies in [J].
+
+    `account` keeps the identity of this module for the whole group. Its `h_i` is
+    sum(interactions) + supplied - uncertainty, with `supplied` from the mover of a moving wall; its `torque` is the
+    Euclidean norm of `torques`, for plots only; its `state` is the first state of the network.
+    """
+
+    torques: tuple[float, ...]  # command for the next free hold, one per motor axis [N*m or N]
+    account: EnergyBalance  # of the whole group
+    interactions: tuple[float, ...]  # h_i of each motor axis
+    uncertainty: float = 0.0  # uncertainty due to lost samples, subtracted from h_i
+    limit: int = 0  # `kinematics.Limit`: reason for zero torques
+
+
+def group_at_rest(axes: int) -> GroupBalance:
+    """Return the balance of the first call after a reset: nothing held, nothing stored."""
+    zeros = (0.0,) * axes
+    return GroupBalance(zeros, AT_REST, zeros)
+
+
 def residual(balance: EnergyBalance, stored_before: float) -> float:
     """Return the error of one step in the identity of the stored energy [J], 0 but for rounding; see the module."""
     flows_out = (balance.h_s - stored_before) + balance.h_r - balance.h_i - balance.gen + balance.h_pas

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import pytest
 
-from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
+from canhaptic.control.balance import AT_REST, Branch, EnergyBalance, GroupBalance
 from canhaptic.control.energy_audit import EnergyAudit
 from canhaptic.control.ledger import Ledger
 from canhaptic.control.mechanisms.kinematics import Limit
-from canhaptic.control.multi_axis.group_controller import AxisGroup, GroupBalance
+from canhaptic.control.multi_axis.group_controller import AxisGroup
 from canhaptic.control.ports import Port, Ports
 from canhaptic.signals import PlantEnergy, Sample, Truth
 

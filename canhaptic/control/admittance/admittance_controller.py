@@ -13,9 +13,8 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 
 from canhaptic.control.admittance.admittance_environment import AdmittanceAxis, AdmittanceEnvironment
 from canhaptic.control.admittance.port import AdmittanceProperties
-from canhaptic.control.balance import Branch, EnergyBalance, held
+from canhaptic.control.balance import Branch, EnergyBalance, GroupBalance, group_at_rest, held
 from canhaptic.control.environments import plain
-from canhaptic.control.multi_axis.group_controller import GroupBalance, group_at_rest
 from canhaptic.errors import ControlError, ParameterError
 from canhaptic.kernels import Buffer, list_of_zeros, new
 

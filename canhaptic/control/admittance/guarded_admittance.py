@@ -33,8 +33,7 @@ from canhaptic.control.admittance.guarded_axis import GuardedAxis
 from canhaptic.control.admittance.margins import ByDeclaredHand, ByForce, ByLoop
 from canhaptic.control.admittance.port import AdmittanceProperties, BookedHold
 from canhaptic.control.admittance.velocity_loop import GuardedAdmittanceParameters
-from canhaptic.control.balance import Certificate
-from canhaptic.control.multi_axis.group_controller import GroupBalance
+from canhaptic.control.balance import Certificate, GroupBalance
 from canhaptic.control.passivity.stepped import settle
 from canhaptic.errors import ForceContradictedError
 from canhaptic.units import Parameters

@@ -9,8 +9,7 @@ from typing import ClassVar
 from canhaptic.control.admittance.admittance_controller import AdmittanceController, Vector
 from canhaptic.control.admittance.admittance_environment import AdmittanceAxis, AdmittanceEnvironment
 from canhaptic.control.admittance.port import AdmittanceProperties
-from canhaptic.control.balance import Certificate
-from canhaptic.control.multi_axis.group_controller import GroupBalance
+from canhaptic.control.balance import Certificate, GroupBalance
 from canhaptic.units import Parameters
 
 _NONE = Certificate.NONE.value

@@ -9,33 +9,12 @@ certificate therefore belong to the group; the balance of an axis has `Branch.GR
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
-from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
+from canhaptic.control.balance import Branch, EnergyBalance, GroupBalance, group_at_rest
 from canhaptic.control.mechanisms.kinematics import Limit
 from canhaptic.control.ports import Port
 from canhaptic.signals import Sample
-
-
-class GroupBalance(NamedTuple):
-    """One step of a group: the torques to apply next, and the account of the hold that ended. Energies in [J].
-
-    `account` keeps the identity of `canhaptic.control.balance` for the whole group. Its `h_i` is
-    sum(interactions) + supplied - uncertainty, with `supplied` from the mover of a moving wall; its `torque` is the
-    Euclidean norm of `torques`, for plots only; its `state` is the first state of the network.
-    """
-
-    torques: tuple[float, ...]  # command for the next free hold, one per motor axis [N*m or N]
-    account: EnergyBalance  # of the whole group
-    interactions: tuple[float, ...]  # h_i of each motor axis
-    uncertainty: float = 0.0  # uncertainty due to lost samples, subtracted from h_i
-    limit: int = 0  # `kinematics.Limit`: reason for zero torques
-
-
-def group_at_rest(axes: int) -> GroupBalance:
-    """Return the balance of the first call after a reset: nothing held, nothing stored."""
-    zeros = (0.0,) * axes
-    return GroupBalance(zeros, AT_REST, zeros)
 
 
 class GroupController(Protocol):

@@ -11,10 +11,10 @@ from functools import partial
 from math import inf, isfinite, sqrt
 from typing import Any, ClassVar, Final, NamedTuple
 
-from canhaptic.control.balance import AT_REST, Branch, EnergyBalance
+from canhaptic.control.balance import AT_REST, Branch, EnergyBalance, GroupBalance, group_at_rest
 from canhaptic.control.damping import VelocityWindow, damping_cap, restart, update
 from canhaptic.control.mechanisms.kinematics import Kinematics, KinematicsKernel, Limit, mechanism_of
-from canhaptic.control.multi_axis.group_controller import GroupBalance, NetworkEnvironment, group_at_rest
+from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.port_hamiltonian.network import Functions, NetworkTables, dot
 from canhaptic.control.port_hamiltonian.sampled_network import (

@@ -18,9 +18,8 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 
 from canhaptic.audit.why.ripple import variation
-from canhaptic.control.balance import EnergyBalance
+from canhaptic.control.balance import EnergyBalance, GroupBalance
 from canhaptic.control.environments import Environment, plain
-from canhaptic.control.multi_axis.group_controller import GroupBalance
 from canhaptic.control.multi_axis.group_kernel import GroupMotion
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.drive.profile.admittance_parameters import ForceChannel
