@@ -136,14 +136,14 @@ class PlantPrice(NamedTuple):
 
 
 def plant_prices(scene: Scene, plants: Sequence[Plant], periods: int) -> list[PlantPrice]:
-    """Return cost and estimated error of each simulated plant; no entries if nothing ran.
+    """Return cost and estimated error of each simulated plant of a torque; no entries if nothing ran.
 
     Args:
         scene: The scene that ran.
         plants: Plants of its axes after the run.
         periods: Number of sample times for which they ran.
     """
-    own = all(axis.simulation is not None and not axis.group for axis in scene.axes)
+    own = all(axis.simulation and not axis.group and not axis.parameters.admittance for axis in scene.axes)
     if not periods or not scene.simulated or not own or len(plants) != len(scene.axes):
         return []
     try:
