@@ -4,14 +4,12 @@ import argparse
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final, TypedDict
+from typing import TYPE_CHECKING, Final, TypedDict
 from warnings import catch_warnings
 
 import numpy as np
 import yaml
 
-from canhaptic.audit.inspection import Inspection, rows_between
-from canhaptic.audit.recompute import scene_of
 from canhaptic.audit.why.causes import Known, Why, is_worth_a_line, known_of, why
 from canhaptic.audit.why.ripple import motion_of, ripple_force
 from canhaptic.errors import CanHapticError, InputError
@@ -20,6 +18,9 @@ from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.view.buzz_lines import buzz_line
 from canhaptic.view.terminal import write_note
+
+if TYPE_CHECKING:
+    from canhaptic.audit.inspection import Inspection
 
 _LONGEST: Final = 60.0  # of a log that `run` reads at its end [s]
 _GRIP: Final = {"m": (300.0, 3.0), "rad": (1.0, 0.01)}
@@ -41,12 +42,15 @@ class Trial(TypedDict):
     text: str
 
 
-def add_why(log: EnergyLog, result: Inspection, arguments: argparse.Namespace) -> None:
+def add_why(log: EnergyLog, result: "Inspection", arguments: argparse.Namespace) -> None:
     """Add what trembles to the summary of a log, and with `--try` the outcome of the first value of each axis.
 
     Raises:
         InputError: The scene of the log is needed and cannot be read.
     """
+    from canhaptic.audit.inspection import rows_between  # a run needs neither
+    from canhaptic.audit.recompute import scene_of
+
     scene = None
     try:
         with catch_warnings(action="ignore"):  # the run has shown them

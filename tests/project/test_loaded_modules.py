@@ -47,7 +47,11 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
     "SDO in the cycle": ("drive.can.background_sdo",),
     "SocketCAN": ("host.socketcan_state",),
     "compiled": ("kernels.compiler", "kernels.linking"),
-    "other command": ("audit", "commission", "lab", "replay"),
+    "cause of a tremor": ("audit.why",),
+    "other command": (
+        *("audit.inspection", "audit.listened", "audit.re", "audit.two_logs", "audit.user_checks"),
+        *("commission", "lab", "replay"),
+    ),
 }
 """What a scene may name -> beginnings of the modules that only such a scene loads; a dot at the end: not the table."""
 GUARDED: Final = frozenset({"simulation", "impedance algorithm"})
@@ -124,7 +128,7 @@ def test_what_is_asked_for_is_loaded(tmp_path: Path) -> None:
         *("configs/demo.yaml", "--log", str(tmp_path / "run.h5"), "--set", "passivity.device_friction=0.1 N"),
         *("--set", "simulation.effects=[{type: coulomb_friction, static: 0.3, kinetic: 0.2}]"),
     )
-    assert found == GUARDED | {"log", "override", "checked by its motion", "effect"}
+    assert found == GUARDED | {"log", "override", "checked by its motion", "effect", "cause of a tremor"}
     for kind, starts in KINDS.items():
         for start in starts:
             path = start.rstrip(".").replace(".", "/")
