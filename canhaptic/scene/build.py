@@ -116,8 +116,8 @@ def logs_elsewhere(scene: Scene, *, energy: bool, bus: bool) -> list[str]:
     return notes
 
 
-def _with_channel(bus: BusParameters) -> Any:
-    named = part_if_any(kind_of(bus), "named")
+def _with_channel(bus: BusParameters) -> BusParameters:
+    named: Callable[[BusParameters], BusParameters] | None = part_if_any(kind_of(bus), "named")
     return bus if named is None else named(bus)
 
 
@@ -136,13 +136,13 @@ def _simulated_side(
     from canhaptic.scene.far_side import build_far_end
     from canhaptic.sim.drive.can.drive_node import AllDrives
 
-    groups, drives = list[Any](), dict[str, "Iterator[SimulatedDrive]"]()
+    groups, drives = list["DriveGroup | Cable"](), dict[str, "Iterator[SimulatedDrive]"]()
     for bus, of in zip(_opened(named, stack), scene.buses, strict=True):
         group, on_bus = build_far_end(scene, of.name, bus)
         groups.append(group)
         drives[of.name] = iter(on_bus)
     if not scene.further_buses and kind_of(scene.bus) == "can":
-        return groups, groups[0]
+        return groups, cast("DriveGroup", groups[0])
     return groups, AllDrives(tuple(next(drives[axis.bus]) for axis in scene.axes))
 
 

@@ -3,10 +3,10 @@
 Reserve and times are those of the port itself, which a handle moves at constant speed; no network is simulated.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from canhaptic.axis_units import damping_unit, effort_unit, si, stiffness_unit
-from canhaptic.far.parameters import SWINGS, Coupling
+from canhaptic.far.parameters import SWINGS, Coupling, FarParameters
 from canhaptic.far.port import PICO, STARTS
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.scene.parts import build_far_port
@@ -38,14 +38,18 @@ def far_findings(scene: Scene) -> list[LinkFigure]:
     if scene.far is None or axis is None:
         return []
     if scene.far.world is not None:
-        return [_program(scene), _reserve(scene, axis), _closing(scene, axis), *_of_world(scene.far.coupling, axis)]
+        return [
+            _program(scene, scene.far),
+            _reserve(scene, axis),
+            _closing(scene, axis),
+            *_of_world(scene.far.coupling, axis),
+        ]
     rows = _of_spring if scene.far.coupling.type == "spring" else _of_model
     return [_reserve(scene, axis), _closing(scene, axis), *rows(scene.far.coupling, round_trip(scene), axis)]
 
 
-def _program(scene: Scene) -> LinkFigure:
+def _program(scene: Scene, far: FarParameters) -> LinkFigure:
     """Return what a world's scene needs besides it."""
-    far: Any = scene.far
     rig, world = ("{}:{}".format(*place) for place in far.places)
     text = f"a program that iterates over canhaptic.World at {world}, and `canhaptic run {scene.source} --pace real` at"
     text += f' {rig}; or World("virtual") alone. A stall of the program that is longer ends the link'

@@ -42,7 +42,7 @@ class Job(NamedTuple):
     what: str  # description for messages, such as "scenes 0 to 49"
     cases: int  # number of its cases
     run: Callable[..., Any]  # function that a worker calls
-    arguments: Callable[[], tuple[Any, ...]]  # makes its arguments when the job is submitted
+    arguments: Callable[[], tuple[object, ...]]  # makes its arguments when the job is submitted
     take: Callable[[Any], None]  # stores its result
 
 

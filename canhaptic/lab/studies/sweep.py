@@ -281,9 +281,10 @@ def _check_same(table: SweepTable, asked: Asked) -> None:
             )
 
 
-def _words(value: Any) -> str:
-    varied = isinstance(value, list) and value and isinstance(value[0], dict)
-    return " ".join(str(one["given"]) for one in value) if varied else str(value)[:160]
+def _words(value: object) -> str:
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return " ".join(str(one["given"]) for one in value)
+    return str(value)[:160]
 
 
 _FIRST: Final = 2
