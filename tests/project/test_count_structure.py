@@ -111,7 +111,10 @@ def test_the_table_has_a_column_for_each_tree(tree: Path, capsys: pytest.Capture
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 _MOST_ANY: Final = 15.0  # per 1,000 lines of code
-_MOST_CROSSING: Final = 600
+_MOST_CROSSING: Final = 690
+"""What there were on 29 November 2026: 686. It was 600 before EtherCAT lines, couplings to programs, and causes of a
+tremor came, each in rooms of its own (EtherCAT in four); no door exports a name again.
+"""
 
 
 def any_by_room(top: Path) -> dict[str, float]:
@@ -138,7 +141,7 @@ def test_no_room_leaves_the_types_of_more_than_15_names_in_1000_lines_open() -> 
 
 
 @pytest.mark.slow
-def test_no_more_than_600_names_cross_a_room() -> None:
+def test_no_more_than_690_names_cross_a_room() -> None:
     assert 400 < len(crossing_names(ROOT)) <= _MOST_CROSSING
 
 
