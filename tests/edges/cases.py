@@ -324,7 +324,7 @@ CASES: dict[str, Case] = {
     "heartbeat of a twin in pre-operational": Case("twin", R.NMT_STATE_LEFT, 1, frame(0x700, 0x7F)),
     "heartbeats of a twin in operational": Case("twin", None, None, each=frame(0x700, 5)),
     "TPDO of a twin, out of the window": Case(
-        "twin", R.TPDO_CONTRADICTED, 24, each=frame(0x180, 0x50, 2, 0, 0, 0, 0, 0, 0)
+        "twin", R.TPDO_CONTRADICTED, 21, each=frame(0x180, 0x50, 2, 0, 0, 0, 0, 0, 0)
     ),
     "TPDO of a twin, in the window": Case("twins", R.TPDO_CONTRADICTED, 4, twin),
     # a second master
