@@ -18,7 +18,7 @@ SAYS = {
     "touch_a_wall.py": "passive: yes",
     "vary_stiffness.py": r"10000 N/m\": \d",
     "compare_algorithms.py": r"unprotected .* um +[1-9]",
-    "own_wall.py": "passive='yes'",
+    "own_wall.py": "handle: yes",
     "own_hand.py": r"startled .* passive yes",
     "lossy_bus.py": r"drop.* link +9\d",
     "own_loop.py": r"least_interaction=0\.0",
