@@ -174,7 +174,7 @@ def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_t
         promise: Lost cycles, energy allowance and hand force for which its certificates hold.
         sample_time: Sample time [s].
     """
-    measured, activity = port.measured(), port.activity
+    measured = port.measured()
     account: PortResult = {
         **sums,
         **(_UNKNOWN if port.is_requested else {}),
@@ -208,14 +208,20 @@ def port_account(port: PortFigures, sums: PortResult, promise: Promise, sample_t
         account["friction_excess"] = excess
     if port.books_least:
         account["books_least"] = True
+    _add_activity(account, port, sample_time)
+    withdraw_certificates(account, longest_gap=port.longest_gap)
+    return account
+
+
+def _add_activity(account: PortResult, port: PortFigures, sample_time: float) -> None:
+    """Add the times from which the port was certainly active [s], and whether its resolution is an estimate."""
+    activity = port.activity
     if activity.limits.floor == -inf:
         account["resolution_is_estimated"] = True
     if activity.since is not None:
         account["active_since"] = activity.since * sample_time
     if activity.at_handle_since is not None:
         account["active_at_handle_since"] = activity.at_handle_since * sample_time
-    withdraw_certificates(account, longest_gap=port.longest_gap)
-    return account
 
 
 def _add_end_of_torque(contact: verdicts.ContactHolds, port: PortFigures, sample_time: float) -> None:

@@ -158,15 +158,20 @@ def serve_page(page: Callable[[Any], object], arguments: argparse.Namespace, tit
     server = BaseServer(IOLoop.current(), pages, http)
     ended_by = _stop_on_signals(server.io_loop)
     make_console().print(f" {title} at http://{_HOST}:{port}{path}   Ctrl-C ends", soft_wrap=True)
-    with TemporaryDirectory(prefix="canhaptic-") if arguments.open else nullcontext("") as folder:
-        if folder:
-            server.io_loop.add_callback(_open_browser, f"http://{_HOST}:{port}{path}", Path(folder))
-        server.start()
-        server.io_loop.start()
-        server.stop()
+    _serve(server, f"http://{_HOST}:{port}{path}", opens=arguments.open)
     if ended_by[0] == signal.SIGINT:
         say_interrupted()
     return SHELL_OFFSET + ended_by[0]
+
+
+def _serve(server: Any, address: str, *, opens: bool) -> None:
+    """Serve until a signal stops the loop; open the address in the user's browser first if `opens`."""
+    with TemporaryDirectory(prefix="canhaptic-") if opens else nullcontext("") as folder:
+        if folder:
+            server.io_loop.add_callback(_open_browser, address, Path(folder))
+        server.start()
+        server.io_loop.start()
+        server.stop()
 
 
 def _open_browser(address: str, folder: Path) -> None:

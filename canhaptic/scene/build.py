@@ -198,15 +198,9 @@ class Experiment:
             self.faulty_buses = {scene.buses[n].name: faulty_bus for n, faulty_bus in faulty.items()}
             lines = zip(scene.buses, groups, strict=False) if scene.cable_effects is not None else ()
             self.cables = {of.name: cast("Cable", line) for of, line in lines if kind_of(of.parameters) != "can"}
-            self.clock = clock = _build_clock(pace, scene.bus.spin_margin, groups, faulty)
+            self.clock = _build_clock(pace, scene.bus.spin_margin, groups, faulty)
             self._open_logs(energy_log, bus_log, meters, stack, dry_run=no_torque)
-            records = [self.bus_log.on(n) if self.bus_log else None for n in range(len(buses))]
-            cables = [self._logged(group, recorded) for group in groups] or [None] * len(buses)
-            ends = [faulty.get(n, bus) or cables[n] for n, bus in enumerate(buses)]
-            links = [
-                part(kind_of(of), "line")(end, clock, of, stack, record)
-                for of, end, record in zip(named, ends, records, strict=True)
-            ]
+            links = self._linked(named, [faulty.get(n, bus) for n, bus in enumerate(buses)], groups, recorded, stack)
             if self.energy_log is not None:
                 self.energy_log.clock = next((lock for of in links if (lock := getattr(of, "lock", None))), None)
             self.rig = _build_rig(scene, links, dry_run=no_torque)
@@ -251,6 +245,19 @@ class Experiment:
         elif bus_log:
             self.bus_log = open_bus_log(scene, bus_log, pace, lose)
             stack.callback(self.bus_log.close)
+
+    def _linked(
+        self, named: Sequence[BusParameters], buses: "Sequence[can.BusABC | None]",
+        groups: "Sequence[DriveGroup | Cable]", recorded: "Sequence[LoggedFrame] | None", stack: ExitStack,
+    ) -> "list[Any]":  # fmt: skip
+        """Return the rig's side of each bus or line, with its log; one without a bus carries its frames itself."""
+        records = [self.bus_log.on(n) if self.bus_log else None for n in range(len(buses))]
+        cables = [self._logged(group, recorded) for group in groups] or [None] * len(buses)
+        ends = [bus or cables[n] for n, bus in enumerate(buses)]
+        return [
+            part(kind_of(of), "line")(end, self.clock, of, stack, record)
+            for of, end, record in zip(named, ends, records, strict=True)
+        ]
 
     def _logged(self, line: Any, recorded: "Sequence[LoggedFrame] | None") -> Any:
         """Return what carries the frames of a line: it, with a log of them, or a log of them in its place."""

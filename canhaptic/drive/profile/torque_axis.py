@@ -217,7 +217,7 @@ class TorqueAxis(ABC):
         self.remarks: list[str] = []
         self.controlword = int(od.Controlword.DISABLE_VOLTAGE)
         self._values: tuple[int, ...] | list[int] = (0, 0, 0)  # statusword, position counts, torque per mille
-        self.unheard = self.unasked = 0
+        self.unheard = self.unasked = self.uncommanded = self.unchanged = 0
         self.culprit, self.read_back_bound, self.contested = "", 0.0, 0.0
         self._contested_until = 0  # count of SYNCs up to which a doubtful sample is the cause of an uncertain account
         self._spread = 0.0  # per mille: how far the torque is from what may have acted instead, see `read_back_bound`
@@ -241,7 +241,6 @@ class TorqueAxis(ABC):
         self._step = 0.0  # mean displacement per sample time since the last process data [rad or m]
         self._periods = 0  # sample times since the last process data
         self.longest_hold = self.longest_gap = 1
-        self.uncommanded = self.unchanged = 0
         self.open_time: int | None = None
         self.open_torque = 0.0
         self._passed: list[int] = []  # per mille: commands that acted, or should have, since the last process data

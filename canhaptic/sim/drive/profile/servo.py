@@ -276,9 +276,8 @@ class Servo:
         self._outputs = store.find(objects.DIGITAL_OUTPUTS, 1)
         self.motor, self._mover = motor, self._brake or motor
         self.machine = StateMachine()
-        self.now = 0
+        self.now = self._moved_to = 0
         self.is_running = False
-        self._moved_to = 0
         self.demand, self.torque = 0, 0.0
         self._counts_per_unit = parameters.position_sign * parameters.counts_per_unit
         self._polarity, self._is_turned = store.find(objects.POLARITY), False
