@@ -37,7 +37,7 @@ _OVERLAP: Final = 2.0
 """Windows begin every quarter of their length: n of them hold the information of n / 4 that do not overlap."""
 _LATE: Final = range(-2, 6)
 """Holds after which a torque may act, counted from where it is booked: later or, read back late, earlier."""
-_REST: Final = 1.5  # holds beside the best whole number of them
+_REST: Final = 1.5  # holds next to the best whole number of them
 _STILL: Final = 1e-12  # [m or rad] in one sample time: the sign of the speed is then 0
 
 
