@@ -99,11 +99,15 @@ def mass_of_late_torque(
             fits.append((residual / abs(mass), mass, _OVERLAP * error, outside))
     if not fits:
         return None
-    best, mass, error, outside = min(fits)
     # A likelihood ratio of two standard deviations; the windows hold less information than their number
-    worst = best * math.exp(0.5 * SURE**2 * _OVERLAP**2 / len(starts))
-    possible = [of[1] for of in fits if of[0] <= worst]
-    return None if outside > _REST else (mass, max(error, max(possible) - mass, mass - min(possible)))
+    worst = min(fits)[0] * math.exp(0.5 * SURE**2 * _OVERLAP**2 / len(starts))
+    likely = [of for of in fits if of[0] <= worst]
+    own = [of for of in likely if of[3] <= _REST]  # slow motion does not tell delays apart, nor needs to
+    if not own:
+        return None
+    _, mass, error, _ = min(own)
+    possible = [of[1] for of in likely]
+    return mass, max(error, max(possible) - mass, mass - min(possible))
 
 
 def _delayed(applied: _Array, holds: int) -> _Array:

@@ -86,6 +86,15 @@ def test_a_mass_is_known_whenever_its_torque_acts(late: int, count: float) -> No
     assert blind.mass == pytest.approx(0.05 * (1.0 + 0.1 * late), rel=0.05)
 
 
+@pytest.mark.parametrize(("half", "damping"), [(126, 0.02), (150, 0.0)])
+def test_slow_motion_on_coarse_counts_tells_no_delays_apart_and_needs_not_to(half: int, damping: float) -> None:
+    torques = np.array([0.0, *reversals(1.0, half, 8), *[0.0] * 5])
+    positions = np.round(moved(0.5, damping, torques) / 1e-3) * 1e-3
+    found = mass_of_late_torque(positions, np.concatenate([[0.0], torques]), TIME, half)
+    assert found is not None
+    assert abs(found[0] - 0.5) <= 2.0 * found[1] <= 0.02
+
+
 def test_a_lateness_that_no_drive_has_gives_no_mass() -> None:
     torques = np.array([0.0, *reversals(1.0, 30, 32)])
     booked = np.concatenate([[0.0], np.roll(torques, -12)])
