@@ -26,7 +26,7 @@ from canhaptic.errors import InputError, LinkError
 from canhaptic.far.packet import HELLO, Packet
 from canhaptic.far.parameters import LOOPBACK, FarParameters, address
 from canhaptic.far.session import Session
-from canhaptic.far.side import read_key
+from canhaptic.far.side import terms_of
 from canhaptic.far.udp import UdpLink
 from canhaptic.far.world_side import Hand, WorldAxis, number_in
 from canhaptic.registry import nearest
@@ -95,7 +95,7 @@ class World:
         far, turn = loaded.far, "1e-4 to 10 s of virtual time for a turn"
         budget = number_in("World", "budget", budget, "a number of at least 0 J", least=0.0)
         period = number_in("World", "period", period, turn, least=1e-4, largest=10.0)
-        silence, key = max(1, round(far.silence / loaded.bus.sample_time)), read_key(far.key) if far.key else b""
+        silence, key = terms_of(far, loaded.bus.sample_time)
         self._place: _Virtual | _Elsewhere
         self._place = _Virtual(loaded, period, energy_log) if rig == _VIRTUAL else _Elsewhere(loaded, far, rig)
         self._session = Session(key, silence, inf, self._place.fresh, self._place.transport.send)

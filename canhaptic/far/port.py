@@ -26,7 +26,7 @@ from canhaptic.control.passivity.asked_torque import AskedEffort, granted, setti
 from canhaptic.control.passivity.guarded import book, certain_energy, end, start
 from canhaptic.control.passivity.stepped import send
 from canhaptic.far.parameters import FarParameters
-from canhaptic.far.world_model import SPRING, WorldState, forget, led_effort
+from canhaptic.far.world_model import LED, SPRING, WorldState, forget, led_effort
 from canhaptic.kernels import Kernel, Run, new
 from canhaptic.signals import FarRow
 
@@ -45,10 +45,8 @@ _FADE: Final = 0.3
 """Time in which the model fades in [s]."""
 _RELEASE: Final = 0.2
 """Time in which it fades out [s]."""
-_LED: Final = 0.02
-"""Share of the spare energy by which a wall comes nearer to its place in a hold."""
 _NEARER: Final = 0.01
-"""Share of the torque limit by which it does, and by which the word of a program changes the torque in a hold."""
+"""Share of the torque limit by which, in a hold, a wall comes nearer or the word of a program changes the torque."""
 _ROUNDING: Final = 1e-9  # [N or N*m]
 _ANY: Final = 0
 _IS_READY, _IS_LINKED, _IS_STOPPING, _IS_BELOW, _IS_ABOVE, _IS_TO_POINT = (1 << bit for bit in range(6))
@@ -198,7 +196,7 @@ def lead(settings: FarSettings, state: FarState, position: float) -> None:
         plane = state.plane if state.is_led else position
         deep, wanted = max(0.0, side * (position - plane)), side * (position - state.far_wall)
         if wanted > deep:
-            spare = max(0.0, certain(state) - 0.5 * stiffness * deep * deep) * _LED
+            spare = max(0.0, certain(state) - 0.5 * stiffness * deep * deep) * LED
             most = sqrt(deep * deep + 2.0 * spare / stiffness)
             wanted = min(wanted, most, deep + _NEARER * settings.torque_limit / stiffness)
         state.plane = position - side * wanted

@@ -97,7 +97,7 @@ class FarSide:
     ) -> None:
         self.far, self.port, self.axis, self._transport = far, port, axis, transport
         self._time, self._is_world = port.settings.sample_time, far.world is not None
-        silence, secret = max(1, round(far.silence / self._time)), read_key(far.key) if far.key else b""
+        silence, secret = terms_of(far, self._time)
         self.session = Session(secret, silence, far.from_far.energy / PICO, fresh or _random, transport.send)
         self._position = self._velocity = self._arrived = self._wall = 0.0
         self._side = 0
@@ -233,6 +233,11 @@ class CoupledLossMeter(EnergyLossMeter):
 
 def _random() -> int:
     return secrets.randbits(62) + 1
+
+
+def terms_of(far: FarParameters, sample_time: float) -> tuple[int, bytes]:
+    """Return the sample times of silence after which a session of a link ends, and its key; raise as `read_key`."""
+    return max(1, round(far.silence / sample_time)), read_key(far.key) if far.key else b""
 
 
 def read_key(path: Path) -> bytes:

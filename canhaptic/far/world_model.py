@@ -15,8 +15,8 @@ _AHEAD: Final = 0.05
 """Time for which a wall is believed to move on as the last word said [s]: three turns of a program at 60 Hz."""
 _MOST: Final = 1e9
 """Effort beyond which a model is cut, so that it stays a number [N or N*m]."""
-_LED: Final = 0.02
-"""Share of the spare energy by which a wall grows in a hold."""
+LED: Final = 0.02
+"""Share of the spare energy by which a wall grows, or comes nearer to its place, in a hold."""
 
 
 @dataclass(slots=True)
@@ -91,7 +91,7 @@ def led_effort(
     offset, step = total - now, slew
     if offset * total <= 0.0 and stiffness > 0.0 and now != 0.0:  # it grows
         spare = max(0.0, energy - 0.5 * total * total / stiffness)
-        step = min(slew, _LED * spare * stiffness / max(abs(total), slew))
+        step = min(slew, LED * spare * stiffness / max(abs(total), slew))
     offset = max(0.0, offset - step) if offset > 0.0 else min(0.0, offset + step)
     state.effort = min(max(now + offset, -limit), limit)
     state.offset = state.effort - now

@@ -37,15 +37,11 @@ def far_findings(scene: Scene) -> list[LinkFigure]:
     axis = scene.far_axis
     if scene.far is None or axis is None:
         return []
+    own = [_reserve(scene, axis), _closing(scene, axis)]
     if scene.far.world is not None:
-        return [
-            _program(scene, scene.far),
-            _reserve(scene, axis),
-            _closing(scene, axis),
-            *_of_world(scene.far.coupling, axis),
-        ]
+        return [_program(scene, scene.far), *own, *_of_world(scene.far.coupling, axis)]
     rows = _of_spring if scene.far.coupling.type == "spring" else _of_model
-    return [_reserve(scene, axis), _closing(scene, axis), *rows(scene.far.coupling, round_trip(scene), axis)]
+    return [*own, *rows(scene.far.coupling, round_trip(scene), axis)]
 
 
 def _program(scene: Scene, far: FarParameters) -> LinkFigure:
