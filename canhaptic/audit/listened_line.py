@@ -33,6 +33,7 @@ _SYNC_START, _SYNC_CYCLE = 0x0990, 0x09A0
 _MEMORY: Final = 0x1000
 _FMMU: Final = struct.Struct("<IHBBHBBB3x")  # logical begin, length, bits, physical begin, bit, kind, is active
 _INPUT, _OUTPUT = 1, 2  # kinds of an FMMU
+_NOTHING: Final = ((0, 0), (0, 0))  # outputs and inputs of a drive that has none
 _ASSIGNED: Final = 0x1C13
 _COE, _SDO_REQUEST, _SDO_ANSWER = 3, 2, 3
 _MAIL: Final = 16  # [bytes] of a mail with the first 8 of an SDO
@@ -108,7 +109,7 @@ class ListenedLine:
         self._period, self._frames, self._remarks = scene.bus.sample_time_ns, bus.frames, remarks
         self._drives: dict[int, _Drive] = {}  # by position
         self._stations: dict[int, int] = {}  # station address -> position
-        self._parts: list[tuple[int, tuple[int, int], tuple[int, int]]] = []  # position, outputs, inputs
+        self._parts: dict[int, tuple[tuple[int, int], tuple[int, int]]] = {}  # position -> outputs, inputs
         self._clock = -1  # position of the reference clock
         self._hold = self._counted = self._slip = -1
         self._slow = 0.0  # time on the way beyond which a frame says nothing of the host's phase [ns]
@@ -197,7 +198,7 @@ class ListenedLine:
             for begin, end in alters:
                 back[begin:end] = sent[begin:end]
             if of.command == _LRW:
-                for _, (begin, size), _ in self._parts:
+                for (begin, size), _ in self._parts.values():
                     place = data + begin - (of.address | of.offset << 16)
                     back[place : place + size] = came[place : place + size]
             if of.counter:
@@ -243,7 +244,7 @@ class ListenedLine:
         places = [*self._stations.values()] if sent.command == _BWR else [place]
         for each in places:
             self._drive(each).registers[sent.offset : sent.offset + len(sent.data)] = sent.data
-        self._parts = [(p, of.part(_OUTPUT), of.part(_INPUT)) for p, of in self._drives.items()]
+        self._parts = {place: (of.part(_OUTPUT), of.part(_INPUT)) for place, of in self._drives.items()}
 
     def _drive(self, place: int) -> _Drive:
         return self._drives.setdefault(place, _Drive())
@@ -269,8 +270,7 @@ class ListenedLine:
         if slip is None:
             return periods
         for axis, place in zip(self.axes, self._places, strict=True):
-            drive = self._drive(place)
-            begin, size = drive.part(_INPUT)
+            drive, (begin, size) = self._drive(place), self._parts.get(place, _NOTHING)[1]
             at = begin - (image.address | image.offset << 16)
             axis.hear(drive.maps.fields(drive.assigned, image.data[at : at + size]))
         return max(1, periods + slip)
@@ -284,7 +284,7 @@ class ListenedLine:
                 writes = 0 if of.command == _LRD else 1 if of.command == _LWR else 2
                 expected = sum(
                     writes * (outputs[1] > 0) + (of.command != _LWR) * (inputs[1] > 0)
-                    for _, outputs, inputs in self._parts
+                    for outputs, inputs in self._parts.values()
                 )
                 if of.counter != expected:
                     return None
