@@ -64,8 +64,8 @@ def estimate(positions: _Array, applied: _Array, sample_time: float, half_base: 
         sample_time: Sample time [s].
         half_base: Half the base of the triangle [sample times]; longer is quieter and smooths fast motion.
     """
-    starts = _unbroken(positions, half_base, np.arange(0, len(positions) - 2 * half_base, max(1, half_base // 2)))
-    if len(starts) < _FEWEST_EQUATIONS or np.nanmin(positions) == np.nanmax(positions):
+    starts = _windows(positions, half_base, 0, max(1, half_base // 2))
+    if starts is None:
         return None
     solved = _solve(*_equations(positions, applied, sample_time, half_base, starts))
     if solved is None:
@@ -84,8 +84,8 @@ def mass_of_late_torque(
     as in `estimate_lateness`. The deviation holds the masses of all delays that explain the motion about as well.
     Arguments as for `estimate`; None: too little motion, or another lateness than any drive has.
     """
-    starts = _unbroken(positions, half_base, np.arange(0, len(positions) - 2 * half_base, max(1, half_base // 2)))
-    if len(starts) < _FEWEST_EQUATIONS or np.nanmin(positions) == np.nanmax(positions):
+    starts = _windows(positions, half_base, 0, max(1, half_base // 2))
+    if starts is None:
         return None
     fits = list[tuple[float, float, float, float]]()  # rms acceleration not explained, mass, its error, rest of the lag
     for holds in _LATE:
@@ -223,14 +223,21 @@ def mass_within(positions: _Array, applied: _Array, sample_time: float, half_bas
     w^2 = k (1 / m + 1 / M) the apparent mass is below m and tends to m; at low frequency it is m + M or more. A late
     torque has a column of its own, as in `estimate_lateness`. Arguments as for `estimate`.
     """
-    starts = _unbroken(positions, half_base, np.arange(1, len(positions) - 2 * half_base))
-    if len(starts) < _FEWEST_EQUATIONS or np.nanmin(positions) == np.nanmax(positions):
+    starts = _windows(positions, half_base, 1, 1)
+    if starts is None:
         return None
     matrix, torque = _equations(positions, applied, sample_time, half_base, starts)
     changes = _in_windows(np.diff(applied, prepend=applied[0])[1:], starts, half_base)
     used = (0, 2, 3) if np.ptp(matrix[:, 2]) > 0.0 else (0, 3)  # too short for damping; friction only where it turns
     solved = _solve(np.column_stack([matrix[:, used], changes]), torque)
     return None if solved is None else (solved[0][0], _OVERLAP * solved[1][0])
+
+
+def _windows(positions: _Array, half_base: int, first: int, every: int) -> NDArray[np.int64] | None:
+    """Return where the windows without a gap begin; None where there are too few, or the axis did not move."""
+    starts = _unbroken(positions, half_base, np.arange(first, len(positions) - 2 * half_base, every))
+    is_enough = len(starts) >= _FEWEST_EQUATIONS and np.nanmin(positions) != np.nanmax(positions)
+    return starts if is_enough else None
 
 
 def _equations(

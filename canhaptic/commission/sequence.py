@@ -330,9 +330,8 @@ def _end(session: Session) -> None:
         session.rig.reset_faults()
 
 
-_LARGEST_PHASE: Final = (
-    0.2  # part of the sample time: before it the frame has passed SYNC0, after it the write frame does
-)
+_LARGEST_PHASE: Final = 0.2
+"""Part of the sample time by which a frame may miss its phase; with more, it or the write frame passes SYNC0."""
 _COUNTS_OF_LINKS: Final = ("missed_tpdos", "late", "error_frames")
 
 

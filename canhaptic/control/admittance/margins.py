@@ -15,14 +15,18 @@ from canhaptic.control.admittance.late_margin import LateMargin
 from canhaptic.control.balance import Certificate
 
 
-class ByLoop(LateMargin):
-    """Margin W = E - sum of V, by the velocity loops of the drives: for every hand."""
-
-    certificate: ClassVar[int] = Certificate.VELOCITY_LOOP.value
+class _OfAxes(LateMargin):
+    """Margin of some axes together."""
 
     def __init__(self, axes: Sequence[GuardedAxis], latency: int) -> None:
         super().__init__(latency)
         self._axes = axes
+
+
+class ByLoop(_OfAxes):
+    """Margin W = E - sum of V, by the velocity loops of the drives: for every hand."""
+
+    certificate: ClassVar[int] = Certificate.VELOCITY_LOOP.value
 
     def used(self) -> float:
         """Return the most that all queued commands can use up [J]."""
@@ -37,14 +41,10 @@ class ByLoop(LateMargin):
         return axis.loop.fastest(axis.drive.lead, axis.commands, budget, 1.0 if request >= 0.0 else -1.0)
 
 
-class ByForce(LateMargin):
+class ByForce(_OfAxes):
     """Margin E - sum of G, for a hand of bounded force on each axis (D2)."""
 
     certificate: ClassVar[int] = Certificate.LARGEST_HAND_FORCE.value
-
-    def __init__(self, axes: Sequence[GuardedAxis], latency: int) -> None:
-        super().__init__(latency)
-        self._axes = axes
 
     def used(self) -> float:
         """Return the most that all queued commands can use up [J]."""

@@ -23,9 +23,8 @@ from canhaptic.signals import Sample
 SYSTEM_TIME: Final = 0x0910
 SYNC_ACTIVATION: Final = 0x0980
 WATCHDOG: Final = 0x0420
-_DIFFERENCE: Final = (
-    0x092C  # by which the system time of the drive differs from the reference clock; bit 31: it is behind
-)
+_DIFFERENCE: Final = 0x092C
+"""Register of the difference between a drive's system time and the reference clock; bit 31: the drive is behind."""
 _MAGNITUDE: Final = 0x7FFF_FFFF
 _LOOKS: Final = 5  # in a row: a frame that passes the reference clock unread spreads a false time
 _REACTION_NS: Final = 100_000_000
