@@ -209,13 +209,19 @@ def measured(rig: Rig, x: float) -> float:
     return round(x / rig.encoder) * rig.encoder if rig.encoder > 0.0 else x
 
 
+def lateness(random: Any, way: Way) -> float:
+    """Returns how late a packet arrives [s]."""
+    if way.jitter > 0.0:
+        return way.delay - way.jitter * math.log(1.0 - random.random())
+    return way.delay
+
+
 def post(random: Any, way: Way, box: Any, full: Any, to: int, now: float, state: Any, packet: Any) -> None:
     """Puts one copy of a packet on its way to one end; `packet` has number, position, speed, sent and the level."""
-    late = way.delay - (way.jitter * math.log(1.0 - random.random()) if way.jitter > 0.0 else 0.0)
     if full[to] >= len(box):
         return
     row = box[full[to]]
-    row[0], row[1], row[2], row[3], row[4] = now + late, packet[0], packet[1], packet[2], packet[3]
+    row[0], row[1], row[2], row[3], row[4] = now + lateness(random, way), packet[0], packet[1], packet[2], packet[3]
     row[5] = state.request
     row[6] = 1.0 if state.blend > 0.0 or certain(state) >= 0.4 * packet[4] else 0.0
     full[to] += 1
@@ -286,7 +292,8 @@ def _runner() -> Callable[..., None]:
     return made
 
 
-def _memory(settings: Any) -> Any:
+def new_memory(settings: Any) -> Any:
+    """Returns the memory of a port, at rest."""
     return memory_of(settings, lambda length: cast(Buffer, np.zeros(length)))
 
 
@@ -363,7 +370,7 @@ def run(seed: int, length: float, mutant: int = 0) -> Any:
     if mutant == 6:
         states["at_rest"] = -6
     out, boxes = np.zeros(9), np.zeros((2, _BOX, 7))
-    memories = [_memory(one) for one in settings]
+    memories = [new_memory(one) for one in settings]
     _runner()(
         records_of(settings, plain=True), states, states.copy(), *memories, tuple(rigs), tuple(ways), random, length,
         mutant, out, boxes, np.zeros((2, 3)), np.zeros((10, 2)), np.zeros(2, np.int64),

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from canhaptic.kernels.compiler import compiled
-from tools.attack.far import Rig, Way, advance, copies_of, measured, next_due
+from tools.attack.far import Rig, Way, advance, copies_of, lateness, measured, next_due
 
 NAMES: Final = ("gains", "TDPA", "waves", "two-layer", "plain gains")
 CELLS: Final = ((0.0, 0.0), (10.0, 5.0), (40.0, 0.0), (40.0, 20.0), (100.0, 0.0), (300.0, 0.0), (300.0, 20.0))
@@ -147,7 +147,7 @@ def run_rival(
         copies, is_bad = copies_of(random, way, now, bad[s] > 0.0)
         bad[s], number[s] = (1.0 if is_bad else 0.0), number[s] + 1.0
         for _ in range(copies):
-            late = way.delay - (way.jitter * math.log(1.0 - random.random()) if way.jitter > 0.0 else 0.0)
+            late = lateness(random, way)
             if full[1 - s] < len(boxes[s]):
                 packet = boxes[1 - s, full[1 - s]]
                 packet[0], packet[1], packet[2], packet[3], packet[4] = now + late, number[s], q, v, f

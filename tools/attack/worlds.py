@@ -28,7 +28,6 @@ from tools.attack.far import (
     GIVEN,
     MUTANTS,
     Rig,
-    _memory,
     advance,
     certain,
     copies_of,
@@ -36,8 +35,10 @@ from tools.attack.far import (
     deduct,
     drawn_rig,
     drawn_way,
+    lateness,
     measured,
     needed,
+    new_memory,
     step,
 )
 
@@ -91,7 +92,7 @@ def take(box: Any, count: int, now: float, keeps: Any, seen: float) -> tuple[int
 def post(random: Any, way: Any, box: Any, full: Any, to: int, now: float, copies: int, words: Any) -> None:
     """Puts copies of a packet on their way; `words` is its row without the time of arrival."""
     for _ in range(copies):
-        late = way.delay - (way.jitter * np.log(1.0 - random.random()) if way.jitter > 0.0 else 0.0)
+        late = lateness(random, way)
         if full[to] < len(box):
             row = box[full[to]]
             row[0] = now + late
@@ -232,7 +233,7 @@ def run(seed: int, length: float, mutant: int = 0) -> Any:
     if mutant == 6:
         states["at_rest"] = -6
     _runner()(
-        records_of([told], plain=True), states, _memory(told), rig, ways, program, random, length, mutant, out,
+        records_of([told], plain=True), states, new_memory(told), rig, ways, program, random, length, mutant, out,
         np.zeros((2, _BOX, 9)), np.zeros(3), np.zeros(2, np.int64), np.zeros((2, 9)), np.zeros(11),
         np.zeros(11),
     )  # fmt: skip
