@@ -100,7 +100,6 @@ def _listed(numbers: list[int]) -> str:
     return ", ".join(f"{number:#x}" for number in numbers)
 
 
-@lru_cache(maxsize=32)
 def without_names(path: str | Path) -> str:
     """Return an ESI without names of vendor, groups and devices, pictures, comments and serial number.
 
@@ -136,6 +135,7 @@ def _parsed(path: Path, content: bytes) -> ET.Element:
         raise DictionaryError(f"{path}: is no XML ({error}); give the ESI of the drive's vendor") from error
 
 
+@lru_cache(maxsize=32)
 def _read(path: Path, content: bytes) -> tuple[EsiDictionary, ...]:
     root = _parsed(path, content)
     if root.tag != "EtherCATInfo":

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from canhaptic.canopen.esi import Startup, read_esi
+from canhaptic.canopen.esi import Startup, read_esi, without_names
 from canhaptic.drive.ethercat.segment import AlState, Identity
 from canhaptic.errors import DictionaryError
 from canhaptic.sim.drive import SimulatedDriveParameters
@@ -66,6 +66,14 @@ def test_numbers_are_read_as_vendors_write_them(tmp_path: Path) -> None:
     esi = read_esi(written(tmp_path, device("16", "#x2", f"<Objects>{objects}</Objects>")))
     assert esi.identity == (0xF3F, 16, 2)
     assert [default(esi, index) for index in (0x6071, 0x6072, 0x6076, 0x1008)] == [-2, 1000, 1000, "abc"]
+
+
+def test_the_same_content_is_read_once_and_a_copy_without_names_is_of_the_file_as_it_is(tmp_path: Path) -> None:
+    path = written(tmp_path, device("1", "1"))
+    assert read_esi(path) is read_esi(path)
+    assert 'ProductCode="1"' in without_names(path)
+    written(tmp_path, device("2", "1"))
+    assert 'ProductCode="2"' in without_names(path)
 
 
 def test_revisions_are_chosen_and_products_are_named(tmp_path: Path) -> None:
