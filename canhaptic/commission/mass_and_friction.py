@@ -165,6 +165,46 @@ def friction_curve(positions: _Array, applied: _Array, sample_time: float, half_
     return FrictionCurve(mass, _OVERLAP * mass_error, np.array(means), np.array(frictions), spread)
 
 
+class Sweep(NamedTuple):
+    """What a sweep recorded, for `estimate` and `friction_curve`."""
+
+    positions: _Array  # at each SYNC, shape (n,) [m or rad]
+    applied: _Array  # torque that the drive says acted in the hold that ended there, shape (n,) [N or N*m]
+    booked: _Array  # torque that was to act in it, shape (n,)
+    sample_time: float
+    half_base: int
+
+    def dynamics(self, late: tuple[float, float] | None = None) -> tuple[Dynamics, FrictionCurve | None] | None:
+        """Return mass and friction, the mass free of friction that falls with speed; None where it stays unclear.
+
+        With damping b, a torque that acts d later than booked makes the mass too large by b d; with dry friction, by
+        more, and the dry friction too small.
+
+        Args:
+            late: Lateness of the booked torque and its standard deviation [s]; None: not known.
+        """
+        if late is None:
+            return self._of(self.applied)
+        ends = [self._of(_delayed_by(self.booked, lag / self.sample_time)) for lag in (late[0], late[0] + late[1])]
+        if ends[0] is None or ends[1] is None:
+            return None
+        (found, curve), (later, _) = ends[0], ends[1]
+        return found._replace(mass_error=math.hypot(found.mass_error, found.mass - later.mass)), curve
+
+    def _of(self, applied: _Array) -> tuple[Dynamics, FrictionCurve | None] | None:
+        record = self.positions, applied, self.sample_time, self.half_base
+        found, curve = estimate(*record), friction_curve(*record)
+        if found is not None and curve is not None:
+            found = found._replace(mass=curve.mass, mass_error=curve.mass_error)
+        return (found, curve) if found is not None and found.mass > SURE * found.mass_error else None
+
+
+def _delayed_by(torques: _Array, holds: float) -> _Array:
+    """Return the mean torque of each hold where each acts so many holds later, whole or not."""
+    whole = math.floor(holds)
+    return (1.0 - holds + whole) * _delayed(torques, whole) + (holds - whole) * _delayed(torques, whole + 1)
+
+
 def _one_way(
     positions: _Array, half_base: int, stride: int, count: int = 8, slowest: float = 0.0
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -247,10 +287,24 @@ def _equations(
     step = np.diff(positions)
     middle, end = positions[starts + half_base], positions[starts + 2 * half_base]
     acceleration = (end - 2.0 * middle + positions[starts]) / (half_base * sample_time) ** 2
-    velocity = _in_windows(step, starts, half_base) / sample_time
+    velocity = (_in_windows(step, starts, half_base) + _within_holds(positions, starts, half_base)) / sample_time
     direction = _in_windows(_directions(step, half_base // 2), starts, half_base)
     matrix = np.column_stack([acceleration, velocity, direction, np.ones(len(starts))])
     return matrix, _in_windows(applied[1:], starts, half_base)
+
+
+def _within_holds(positions: _Array, starts: NDArray[np.int64], half_base: int) -> _Array:
+    """Return the mean displacement of a hold under the triangle, less that under its steps, shape (n,) [m or rad].
+
+    `_in_windows` weighs whole holds; within one, the triangle weighs the speed that rises. With the acceleration a of
+    a hold, this adds a T / (12 n^2) to the mean speed, and the a T of half a triangle are the change of speed in it.
+    Without it, the torque of a damped axis seems early.
+    """
+    middle, end = starts + half_base, starts + 2 * half_base
+    first = 4.0 * positions[starts + 1] - 3.0 * positions[starts] - positions[starts + 2]
+    last = 3.0 * positions[end] - 4.0 * positions[end - 1] + positions[end - 2]
+    change: _Array = 2.0 * (positions[middle + 1] - positions[middle - 1]) - first - last
+    return change / (24.0 * half_base**2)
 
 
 def _directions(steps: _Array, near: int) -> _Array:
@@ -363,7 +417,7 @@ _EARLY: Final = 3.0  # standard deviations below 0 from which on a torque acts b
 
 def time_the_torque(
     session: Session, axis: int, most: float, mass: float, known: Mapping[str, float] | None = None
-) -> None:
+) -> tuple[float, float] | None:
     """Find the hold in which a torque acts, measure how late it acts, and propose upper bounds of that lateness.
 
     The test is repeated, longer each time, while the hold is unclear or the uncertainty costs too much of the wall.
@@ -375,6 +429,9 @@ def time_the_torque(
         mass: First estimate of the mass, in the units of the encoder as configured [kg or kg*m^2].
         known: Measured values of `passivity`, SI; None: without a mass, only the hold is determined.
 
+    Returns:
+        Lateness after the beginning of the declared hold, and its standard deviation [s]; None: unclear.
+
     Raises:
         RigError: Drive or link failed.
     """
@@ -383,36 +440,43 @@ def time_the_torque(
     torque, longest = _reversal(session, axis, most, mass, friction)
     name = session.axes[axis].parameters.name
     if not session.agreed(f"{name}: hands off. Reversals of {session.shown(axis, torque)}. Start now?", _ITEM, [axis]):
-        return
+        return None
     before: int | None = None  # the hold by the test before
     counts = [count for count in _DOUBLETS if 3 * longest * count * session.sample_time <= 60.0]
     for count in counts:
         law = session.play_within(axis, _ITEM, partial(reversals, longest=longest, count=count), torque)
         if session.stop_requested():
-            return session.not_tried(_ITEM, [axis])
-        late = None if law.tripped else _lateness(session, axis, law, longest // 3)
-        if late is None:
+            session.not_tried(_ITEM, [axis])
+            return None
+        measured = None if law.tripped else _lateness(session, axis, law, longest // 3)
+        if measured is None:
             text = f"{law.tripped or 'too little motion'}; raise --travel or --torque"
-            return session.found(axis, _ITEM, "", "unclear", StepVerdict.UNKNOWN, text)
+            session.found(axis, _ITEM, "", "unclear", StepVerdict.UNKNOWN, text)
+            return None
         times = time_the_hold(session, axis, law, longest // 3)
         is_last, hold = count == counts[-1], times.hold
         is_told, before = times.is_sure or (hold is not None and (is_last or hold == before)), hold
         is_over = is_told or not _may_be_told(times, counts[-1] / count)
-        if is_told and hold and hold > 0:  # the hold is declared, and the lag is that within it
-            late = late[0] - hold * session.sample_time, late[1]
+        later = hold if is_told and hold and hold > 0 else 0  # the hold is declared, and the lag is that within it
+        late = measured[0] - later * session.sample_time, measured[1]
         if is_last or (is_over and (known is None or _is_resolved(session, axis, late, known))):
             report_hold(session, axis, times if is_told else times._replace(hold=None))
-            if known is None:
-                return
-            declared = session.axes[axis].loop.current_lag or 0.0
-            is_kept = late[0] <= SURE * late[1] and _at_most(late) <= declared
-            is_kept = is_kept and not _is_lost(session, axis, declared, known)
-            _report(session, axis, late, is_kept=is_kept)
-            if late[0] >= -_EARLY * late[1]:
-                _propose(session, axis, None if is_kept else _at_most(late), known, _at_least(session, axis, late))
-            return
+            if known is not None:
+                _declare_lag(session, axis, late, known)
+            return measured
         seen = f"+- {SURE * late[1] * 1e6:.2g} us costs too much of the wall" if is_over else "in which hold is unclear"
         session.dialogue.tell(f"  {name}: {_ITEM}: {seen}")
+    return None
+
+
+def _declare_lag(session: Session, axis: int, late: tuple[float, float], known: Mapping[str, float]) -> None:
+    """Report the lag, and propose its bounds."""
+    declared = session.axes[axis].loop.current_lag or 0.0
+    is_kept = late[0] <= SURE * late[1] and _at_most(late) <= declared
+    is_kept = is_kept and not _is_lost(session, axis, declared, known)
+    _report(session, axis, late, is_kept=is_kept)
+    if late[0] >= -_EARLY * late[1]:
+        _propose(session, axis, None if is_kept else _at_most(late), known, _at_least(session, axis, late))
 
 
 def _may_be_told(times: HoldTimes, longer: float) -> bool:

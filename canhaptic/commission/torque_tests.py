@@ -11,10 +11,9 @@ which the drive lifts, or a spring balance, against which it pushes.
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from canhaptic.axis_units import damping_unit, effort_unit
 from canhaptic.commission import mass_and_friction
@@ -22,8 +21,7 @@ from canhaptic.commission.mass_and_friction import (
     SURE,
     Dynamics,
     FrictionCurve,
-    estimate,
-    friction_curve,
+    Sweep,
     is_dear,
     mass_of_late_torque,
 )
@@ -41,6 +39,7 @@ from canhaptic.commission.session import (
     sweep,
 )
 from canhaptic.commission.torque_sign import Pulse, pulse
+from canhaptic.commission.which_hold import as_declared
 from canhaptic.drive.clock import WallClock
 from canhaptic.errors import StartError
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
@@ -55,6 +54,7 @@ _FARTHEST: Final = 5.0  # times the travel where nothing asks for more
 _DERATING: Final = 0.5
 """Fraction of the measured braking force that is declared as certain: heat, grease and wear reduce it."""
 MASS_UNITS: Final = {"m": "kg", "rad": "kg*m^2"}
+_SHAFT: Final = "compliant shaft"
 _UNDER: Final = 0.9
 _OVER: Final = 2.0
 _COMMENTS: Final = {
@@ -65,6 +65,28 @@ _COMMENTS: Final = {
     "device_friction": f"{_DERATING:g} times the lower confidence limit: heat, grease and wear reduce friction",
 }
 """Comment of each declared value of the device: its margin to the measured value."""
+
+
+class _Shaken(NamedTuple):
+    """Mass that a fast shake moved: the one that is rigid with the encoder."""
+
+    mass: float  # [kg or kg*m^2]
+    error: float
+    fastest: float  # frequency of the shake [Hz]
+
+    def is_all_of(self, found: Dynamics) -> bool:
+        """Whether it is the mass of a slow motion as well: the axis is stiff."""
+        return abs(self.mass / found.mass - 1.0) <= 0.1
+
+    def rigid_part(self, found: Dynamics) -> Dynamics | None:
+        """Return the dynamics with the mass that is rigid with the encoder; None where a resonance is near.
+
+        Where the shaken mass is clearly below that of a slow motion, a shaft lies between, and it is the rotor's.
+        """
+        if self.is_all_of(found):
+            return found
+        is_rotor = SURE * self.error < self.mass < found.mass
+        return found._replace(mass=self.mass, mass_error=self.error) if is_rotor else None
 
 
 def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
@@ -85,32 +107,43 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
         record = _swept(session, axis, amplitude, lowest, times * _DURATION, rough_mass)
         if record is None:
             return
-        found, curve = estimate(*record), friction_curve(*record)
-        if found is not None and curve is not None:  # friction that turns or falls with speed does not spoil that one
-            found = found._replace(mass=curve.mass, mass_error=curve.mass_error)
-        if found is not None and found.mass > SURE * found.mass_error and not _is_dear(session, axis, found, curve):
+        known = record.dynamics()
+        if known is not None and not _is_dear(session, axis, *known):
             break
         session.dialogue.tell(f"  {parameters.name}: moving mass, friction: not known well enough for the wall")
-    if found is None or found.mass <= SURE * found.mass_error:
+    if record is None or known is None:
         text = f"too little motion to separate it from friction; raise {limit}, which limits the torque of the sweep"
         return session.found(axis, "moving mass", "", "unclear", StepVerdict.UNKNOWN, text)
-    rigid = _of_rotor(session, axis, found)
+    found, curve = known
+    shaken = _shaken(session, axis, found)
+    rigid = found if shaken is None else shaken.rigid_part(found)
+    try:
+        if not session.stop_requested():
+            values = None if rigid is None else declared_of(rigid, curve)  # without a mass, only the hold is found
+            most = largest_torque(session, axis)
+            late = mass_and_friction.time_the_torque(session, axis, most, rough_mass, values)
+            if late is not None:
+                found, curve = record.dynamics(late) or (found, curve)
+    finally:  # where the link is lost in between, what was measured before is not
+        _report(session, axis, found, curve, shaken)
+
+
+def _report(session: Session, axis: int, found: Dynamics, curve: FrictionCurve | None, shaken: _Shaken | None) -> None:
+    """Report the device and propose the values to declare."""
+    if shaken is not None:
+        _report_shaft(session, axis, found, shaken)
+    rigid = found if shaken is None else shaken.rigid_part(found)
     if rigid is not None:
         _report_mass(session, axis, rigid)
     _report_friction(session, axis, found)
     _report_weight(session, axis, found)
     _report_least_friction(session, axis, found, curve)
-    if not session.stop_requested():
-        _declare(session, axis, rough_mass, None if rigid is None else declared_of(rigid, curve))
-
-
-def _declare(session: Session, axis: int, rough_mass: float, values: dict[str, float] | None) -> None:
-    """Propose the measured values, then time the torque; without values (no mass known), find only its hold."""
-    for key, value in (values or {}).items():
+    if rigid is None or session.stop_requested():
+        return
+    values = declared_of(rigid, curve)
+    for key, value in values.items():
         session.propose(axis, f"passivity.{key}", value, _unit_of(session, axis, key), _COMMENTS[key])
-    mass_and_friction.time_the_torque(session, axis, largest_torque(session, axis), rough_mass, values)
-    if values is not None:
-        mass_and_friction.propose_allowance(session, axis, values)
+    mass_and_friction.propose_allowance(session, axis, values)
 
 
 def _lowest_frequency(session: Session, axis: int, mass: float) -> float:
@@ -137,10 +170,8 @@ def ask_for_room(session: Session, axis: int, first: Pulse) -> None:
         session.travels[axis] = given
 
 
-def _swept(
-    session: Session, axis: int, amplitude: float, lowest: float, duration: float, mass: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float, int] | None:
-    """Sweep for a duration [s] and return the record for `estimate`; None where it was aborted, which is reported."""
+def _swept(session: Session, axis: int, amplitude: float, lowest: float, duration: float, mass: float) -> Sweep | None:
+    """Sweep for a duration [s] and return its record; None where it was aborted, which is reported."""
     highest = _SPAN * lowest
     # Windows of a sixth of the shortest period, or of a third for a coarse encoder: 4 counts by the acceleration
     seen = math.sqrt(4.0 * session.count(axis) * mass / amplitude)
@@ -155,7 +186,8 @@ def _swept(
         session.found(axis, "moving mass", "", found, StepVerdict.UNKNOWN, law.tripped)
         return None
     positions = law.regular_positions() / session.encoder_ratios[axis]  # a wrong encoder is not a wrong mass
-    return positions, np.array(law.applied), session.sample_time, half_base
+    booked = np.asarray(as_declared(session, axis, law), dtype=np.float64)
+    return Sweep(positions, np.array(law.applied), booked, session.sample_time, half_base)
 
 
 def declared_of(found: Dynamics, curve: FrictionCurve | None) -> dict[str, float]:
@@ -178,45 +210,44 @@ def _is_dear(session: Session, axis: int, found: Dynamics, curve: FrictionCurve 
     return is_dear(session.axes[axis], session.speed(axis), {**ends, **declared_of(exact, None)}, ends)
 
 
-def _of_rotor(session: Session, axis: int, found: Dynamics) -> Dynamics | None:
-    """Return the dynamics with the mass that is rigid with the encoder; None where it stays unclear.
+def _shaken(session: Session, axis: int, found: Dynamics) -> _Shaken | None:
+    """Shake the axis; None where that was refused or moved too little, which is reported.
 
-    A fast shake moves only this mass. Where it is clearly below the mass of the slow sweep, a shaft lies between, and
-    it is the rotor's (`mass_within`). Where it is neither equal nor clearly below, a resonance is near: None. With t
-    the shortest time that the encoder resolves, a resonance far above 1 / (4 t) is not seen.
+    With t the shortest time that the encoder resolves, a resonance far above 1 / (4 t) is not seen.
     """
     parameters, torque = session.axes[axis].parameters, largest_torque(session, axis)
-    item, unit = "compliant shaft", MASS_UNITS[parameters.unit]
     # 20 counts of motion in one part of a shake: quantisation then changes the mass by 0.1 %
     resolved = 20.0 / parameters.counts_per_unit * found.mass / torque
     holds = max(1, min(session.cycles(1.0), math.ceil(math.sqrt(resolved) / session.sample_time)))
     asked = f"{parameters.name}: hands off. A shake of {session.shown(axis, torque)}, of random sign. Start now?"
-    if not session.agreed(asked, item, [axis]):
-        return found
+    if not session.agreed(asked, _SHAFT, [axis]):
+        return None
     signs = np.random.default_rng(1).choice([-1.0, 1.0], 64)
 
     def shakes(most: float) -> list[float]:
         return [part for sign in signs for part in doublet(float(sign) * most, holds)]
 
-    law = session.play_within(axis, item, shakes, torque)
+    law = session.play_within(axis, _SHAFT, shakes, torque)
     positions = law.regular_positions() / session.encoder_ratios[axis]
     within = mass_and_friction.mass_within(positions, np.array(law.applied), session.sample_time, holds)
     if within is None or law.tripped:
         text = f"{law.tripped or 'too little motion'}; declare the rotor's mass where a shaft or belt is compliant"
-        session.found(axis, item, "", "unclear", StepVerdict.UNKNOWN, text)
-        return found
-    (mass, error), fastest = within, 0.25 / (holds * session.sample_time)
-    seen = f"{mass:.3g} {unit} at {fastest:.3g} Hz, {found.mass:.3g} {unit} at low frequency"
-    if abs(mass / found.mass - 1.0) <= 0.1:  # of a fast and of a slow motion on a stiff axis
-        session.found(axis, item, "", f"none found: {seen}", StepVerdict.AGREES, f"no resonance below {fastest:.3g} Hz")
-        return found
-    if SURE * error < mass < found.mass:
+        session.found(axis, _SHAFT, "", "unclear", StepVerdict.UNKNOWN, text)
+        return None
+    return _Shaken(*within, 0.25 / (holds * session.sample_time))
+
+
+def _report_shaft(session: Session, axis: int, found: Dynamics, shaken: _Shaken) -> None:
+    unit, fastest = MASS_UNITS[session.axes[axis].parameters.unit], shaken.fastest
+    seen = f"{shaken.mass:.3g} {unit} at {fastest:.3g} Hz, {found.mass:.3g} {unit} at low frequency"
+    if shaken.is_all_of(found):
+        text = f"no resonance below {fastest:.3g} Hz"
+        return session.found(axis, _SHAFT, "", f"none found: {seen}", StepVerdict.AGREES, text)
+    if shaken.rigid_part(found) is not None:
         text = "a shaft lets the rotor move alone; moving_mass is the rotor's"
-        session.found(axis, item, "", seen, StepVerdict.MEASURED, text)
-        return found._replace(mass=mass, mass_error=error)
+        return session.found(axis, _SHAFT, "", seen, StepVerdict.MEASURED, text)
     text = "a resonance is near: measure at another rate with a finer encoder, or declare the rotor's mass"
-    session.found(axis, item, "", f"unclear: {seen}", StepVerdict.DIFFERS, text)
-    return None
+    session.found(axis, _SHAFT, "", f"unclear: {seen}", StepVerdict.DIFFERS, text)
 
 
 def _report_mass(session: Session, axis: int, found: Dynamics) -> None:

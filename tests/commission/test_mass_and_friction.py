@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.commission.mass_and_friction import _Array, estimate, friction_curve, mass_of_late_torque
+from canhaptic.commission.mass_and_friction import (
+    Sweep,
+    _Array,
+    estimate,
+    estimate_lateness,
+    friction_curve,
+    mass_of_late_torque,
+)
 from canhaptic.commission.session import Guard, OpenLoop, doublet, reversals, sweep
 from canhaptic.errors import ControlError
 from canhaptic.sim.plant.effects import Effect
@@ -84,6 +91,15 @@ def test_a_mass_is_known_whenever_its_torque_acts(late: int, count: float) -> No
     assert blind is not None
     assert found[0] == pytest.approx(0.05, rel=0.005)
     assert blind.mass == pytest.approx(0.05 * (1.0 + 0.1 * late), rel=0.05)
+
+
+def test_a_torque_of_a_damped_axis_does_not_seem_early() -> None:
+    """An eighth of the speed is lost in each hold; the torque acts where it is booked."""
+    torques = np.array([0.0, *reversals(1.0, 16, 128), *[0.0] * 5])
+    positions = np.round(moved(0.25, 0.128 * 0.25 / TIME, torques) / 1e-7) * 1e-7
+    late = estimate_lateness(positions, np.concatenate([[0.0], torques]), TIME, 5)
+    assert late is not None
+    assert abs(late[0]) <= max(2.0 * late[1], 2e-3 * TIME)
 
 
 @pytest.mark.parametrize(("half", "damping"), [(126, 0.02), (150, 0.0)])
@@ -184,6 +200,25 @@ def test_mass_and_least_friction_are_those_of_the_plant_whatever_its_law(
     if isinstance(friction, StribeckFriction):
         braking += 0.5 * np.exp(-((speeds / friction.stribeck_velocity) ** 2))
     assert (least + sure * speeds <= 1.01 * braking).all()
+
+
+@pytest.mark.parametrize("late", [-1.0, 0.3, 2.0])
+@pytest.mark.parametrize("friction", [None, COULOMB])
+def test_a_swept_mass_and_its_friction_do_not_depend_on_when_the_torque_acts(
+    late: float, friction: Effect | None
+) -> None:
+    positions, torques = swept(4.0, 5.0, friction, 1e-5)
+    holds = np.arange(len(torques)) + late
+    booked = np.interp(holds, np.arange(len(torques)), torques, left=0.0, right=0.0)
+    right = Sweep(positions, torques, torques, TIME, 20).dynamics()
+    found = Sweep(positions, booked, booked, TIME, 20).dynamics((late * TIME, 1e-6))
+    assert right is not None
+    assert found is not None
+    assert found[0].mass == pytest.approx(right[0].mass, rel=5e-3)
+    assert found[0].damping == pytest.approx(5.0, rel=0.01)
+    for curve in (right[1], found[1]):
+        assert curve is not None
+        assert curve.least(4.9, 2.0) <= (0.0 if friction is None else 0.5)
 
 
 @pytest.mark.slow

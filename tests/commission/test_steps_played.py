@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canhaptic.commission import sequence, torque_tests
+from canhaptic.commission import mass_and_friction, sequence
 from canhaptic.commission.sequence import STANDSTILL, commission, identify, move_by_hand, stand_still, time_the_cycle
 from canhaptic.commission.session import (
     TRAVELS,
@@ -303,7 +303,7 @@ def test_an_axis_that_does_not_move_has_an_unclear_mass_and_names_the_limit_to_r
 def test_where_no_friction_by_speed_is_known_the_least_one_stays_open_and_not_the_mass(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(torque_tests, "friction_curve", lambda *_: None)
+    monkeypatch.setattr(mass_and_friction, "friction_curve", lambda *_: None)
     session = swept()
     assert row(session, "dry friction, least").text.startswith("too little motion in both directions")
     assert row(session, "moving mass").found == "0.25 kg"
@@ -323,12 +323,14 @@ def test_a_known_mass_gives_the_scale_of_the_torque() -> None:
 
 
 class LateMass(FreeMass):
-    """1.4 times the booked torque acts a hold late on a light mass that loses a tenth of its speed in a hold."""
+    """A multiple of the booked torque acts a hold late on a light mass that loses a tenth of its speed in a hold."""
+
+    scale = 1.4
 
     def advance(self, command: float) -> float:
         acts, self._waits = getattr(self, "_waits", 0.0), command
         self._speed *= 0.9
-        super().advance(1.4 * acts)
+        super().advance(self.scale * acts)
         return command
 
 
@@ -336,6 +338,21 @@ def test_a_torque_that_acts_late_on_a_damped_mass_gives_its_scale_all_the_same()
     session = verified(LateMass(0.078, 0.008, 1e-6), "mass", "bus.rate=125", number=0.078, travel=0.08)
     assert float(row(session, SCALE).found) == pytest.approx(1.4, rel=0.05)
     assert row(session, SCALE).verdict is StepVerdict.DIFFERS
+
+
+def test_a_torque_that_acts_late_on_a_damped_mass_makes_no_mass_too_large_to_declare(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The mass of 0.25 kg would be found as 0.275."""
+    monkeypatch.setattr(mass_and_friction, "time_the_torque", lambda *_: (0.008, 1e-5))
+    late = LateMass(MASS, 0.008, 1e-6)
+    late.scale = 1.0
+    session = played(late, "bus.rate=125")
+    identify_dynamics(session, 0, MASS)
+    assert float(row(session, "moving mass").found.split()[0]) == pytest.approx(MASS, rel=0.02)
+    [declared] = [value.value for value in session.report.values if value.key == "passivity.moving_mass"]
+    assert isinstance(declared, float)
+    assert declared <= 0.9 * 1.02 * MASS
 
 
 def test_the_parts_of_a_doublet_are_four_cycles_at_least() -> None:
