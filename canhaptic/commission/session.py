@@ -18,7 +18,6 @@ from canhaptic.axis_units import effort_unit
 from canhaptic.control.balance import AT_REST, Branch, Certificate, EnergyBalance
 from canhaptic.control.ports import axis_ports
 from canhaptic.cycle import Cycle, run
-from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.profile.drive_objects import settings_of, settings_text
 from canhaptic.drive.profile.drive_settings import changed_settings, recorded_settings
@@ -470,8 +469,7 @@ class Session:
         try:
             with build(scene) as self._experiment:
                 for drive in self.drives:
-                    if isinstance(drive, AdmittanceDrive):
-                        drive.checks_rest = False  # the offset is to be measured
+                    drive.checks_rest = False  # an offset is to be measured
                 yield
         finally:
             self._experiment = None

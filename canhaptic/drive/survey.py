@@ -33,6 +33,7 @@ from canhaptic.drive.can.pdo_map import (
 )
 from canhaptic.drive.profile import fitness
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceParameters, Mode
+from canhaptic.drive.profile.causality import Impedance
 from canhaptic.drive.profile.drive_objects import DRIVE_OBJECTS
 from canhaptic.drive.profile.fitness import Finding, Verdict, limit_objection, listed
 from canhaptic.drive.profile.quirks import quirks_of
@@ -48,15 +49,7 @@ _KEYS: Final = (
     ("torque_limit", "the largest torque that may ever reach the hand"),
     ("direction", "-1 if drive and axis have opposite positive directions"),
 )
-_DISPLAY_KEYS: Final = (
-    ("speed_limit, admittance.acceleration_limit", "largest speed and acceleration that may be commanded"),
-    ("admittance.position_low, position_high", "lowest and highest position to which a command may lead"),
-    ("admittance.velocity_counts", "counts of 0x60FF for 1 m/s or 1 rad/s; left out: counts of 0x6064 per second"),
-    ("admittance.handle_acceleration", "largest acceleration of the handle by drive and hand: an over-estimate"),
-    ("admittance.force.per_count, range, error, slew", "scale and limits of the sensor; canhaptic commission measures"),
-    ("admittance.force.frozen_after", "SYNCs with one count after which the sensor counts as frozen"),
-)
-"""Keys that no dictionary supplies, with their meaning: of every axis (`_KEYS`), and further ones of a display."""
+"""Keys of every axis that no dictionary supplies, with their meaning."""
 
 
 def _analog_input(dictionary: ObjectDictionary) -> str | None:
@@ -277,14 +270,10 @@ def _rows(
     yield judged("identity", findings["0x1000"])
     yield row("identity", "vendor ID", od.IDENTITY, Verdict.FIT, "compared when vendor_id is set", 1)
     yield row("identity", "product code", od.IDENTITY, Verdict.FIT, "compared when product_code is set", 2)
-    group: Group = "torque" if axis.admittance is None else "motion"
     for place in ("0x6040", "0x6041", f"{axis.causality.target:#06x}", "0x6064", "0x6502", "0x6060", "0x6061"):
-        yield judged(group, findings[place], axis.causality.mode_code)
-    if axis.admittance is None:
-        yield _read_back(dictionary, axis_map)
-    else:
-        yield _force(dictionary, axis.admittance)
-        yield from _limits_of_display(dictionary)
+        yield judged(axis.causality.commands, findings[place], axis.causality.mode_code)
+    yield _read_back(dictionary, axis_map) if axis.admittance is None else _force(dictionary, axis.admittance)
+    yield from _ramps_and_quick_stop(dictionary, axis.causality)
     yield row("limits", "max torque", od.MAX_TORQUE, *_max_torque(dictionary, axis, findings["0x6072"]))
     yield row("limits", "motor rated torque", od.RATED_TORQUE, *_rated_torque(dictionary, axis, findings["0x6076"]))
     yield row("limits", "motor rated current", od.RATED_CURRENT, Verdict.FIT, "for information; not used")
@@ -323,15 +312,18 @@ def _force(dictionary: ObjectDictionary, display: AdmittanceParameters) -> Surve
     return SurveyRow("force", item, _describe(dictionary, *place), verdict, text)
 
 
-def _limits_of_display(dictionary: ObjectDictionary) -> Iterator[SurveyRow]:
-    """Yield verdicts on objects that may alter a display's command, and on the drive's own quick stop."""
-    ramps = [index for index in (od.PROFILE_ACCELERATION, od.MAX_ACCELERATION) if listed(dictionary, index) is not None]
+def _ramps_and_quick_stop(dictionary: ObjectDictionary, mode: Impedance | AdmittanceParameters) -> Iterator[SurveyRow]:
+    """Yield verdicts on objects that may alter a command of this mode, and on the drive's own quick stop."""
+    speeding = od.PROFILE_ACCELERATION, od.MAX_ACCELERATION
+    ramps = [index for index in speeding if index in mode.ramps and listed(dictionary, index) is not None]
     stuck = [index for index in ramps if not is_writable(dictionary, index, 0)]
     listing = ", ".join(f"{index:#06x}" for index in stuck or ramps)
     text = "read-only: no certificate covers a ramp inside the drive; set it with the vendor's tool"
     judgement = (Verdict.UNKNOWN, text) if stuck else (Verdict.FIT, "written as steep as they go")
     if ramps:
         yield _as_found(dictionary, "limits", Finding(f"{listing} ramps", *judgement))
+    if not mode.quick_stop:
+        return
     judgement = Verdict.UNKNOWN, "not writable: set it with the vendor's tool so that a quick stop brakes (2)"
     if is_writable(dictionary, od.QUICK_STOP_OPTION, 0):
         judgement = Verdict.FIT, "written: brakes along its ramp, then disabled"
@@ -410,9 +402,9 @@ def _manual_keys(dictionary: ObjectDictionary, axis: AxisParameters, axis_map: A
         (od.RATED_TORQUE in dictionary, "transmission", "gear ratio, where 0x6076 is the motor's torque"),
         (not has_watchdog, "watchdog: false", text),
         (limit_objection(dictionary, axis), "admittance.limit_in_drive: true", "once torque_limit is set in it"),
-        (axis.admittance is None, "demand_reported", "before or after: whether the TPDO shows the hold that ended"),
+        (axis.causality.torques, "demand_reported", "before or after: whether the TPDO shows the hold that ended"),
     )
-    rows = _KEYS if axis.admittance is None else _KEYS + _DISPLAY_KEYS
+    rows = *_KEYS, *axis.causality.by_hand
     return tuple(ManualKey(*row) for row in (*rows, *(row for is_needed, *row in needs if is_needed)))
 
 
@@ -446,11 +438,10 @@ def read_objects(drive: TorqueAxis) -> Iterator[Finding]:
 
 def _end_cut_off(drive: TorqueAxis, place: tuple[int, int], value: int) -> str:
     """Return which limit of the scene a position limit of the drive cuts off; "" where it cuts none."""
-    axis, display = drive.axis, drive.axis.admittance
-    if place[0] != od.POSITION_LIMITS or display is None or place in axis.written_objects:
+    axis = drive.axis
+    if place[0] != od.POSITION_LIMITS or place in axis.written_objects:
         return ""
-    ends = [end for end in (display.position_low, display.position_high) if end is not None]
-    counts = sorted(axis.direction * end * axis.counts_per_unit for end in ends)
+    counts = sorted(axis.direction * end * axis.counts_per_unit for end in axis.causality.ends)
     beyond = [end for end in counts if (end < value if place[1] == 1 else end > value)]
     if not beyond or not any(drive.sdo.read(place[0], sub) for sub in (1, 2)):  # both 0: no limits
         return ""

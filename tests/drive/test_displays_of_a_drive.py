@@ -10,8 +10,8 @@ import pytest
 from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
-from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.motion_drive import CanMotionDrive
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceChannel, ForceParameters
@@ -48,7 +48,7 @@ def test_a_force_has_one_source() -> None:
 def test_a_drive_that_brakes_is_given_the_declared_time() -> None:
     with can.Bus(interface="virtual", channel=private_channel()) as bus:
         of = display(stop_time=0.25)
-        drive = AdmittanceDrive(
+        drive = CanMotionDrive(
             Link(bus, VirtualClock()), of, read_dictionary(EDS, of.node_id), CanBusParameters(rate=1000.0)
         )
         assert drive.stop_time == 250_000_000
@@ -93,7 +93,7 @@ class OnTheBus:
         self.far, of = buses[1], display(**values)
         self.clock = VirtualClock()
         self.link = Link(buses[0], self.clock)
-        self.drive = AdmittanceDrive(self.link, of, read_dictionary(EDS, of.node_id), CanBusParameters(rate=1000.0))
+        self.drive = CanMotionDrive(self.link, of, read_dictionary(EDS, of.node_id), CanBusParameters(rate=1000.0))
         self.sync_index = -1
 
     def sample(self, position: int, force: int) -> Sample:

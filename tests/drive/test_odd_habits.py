@@ -9,9 +9,9 @@ import pytest
 from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.drive.axis_parameters import AxisParameters, CanBusParameters
-from canhaptic.drive.can.admittance_drive import AdmittanceDrive
 from canhaptic.drive.can.bus_cycle import can_buses
 from canhaptic.drive.can.link import Link
+from canhaptic.drive.can.motion_drive import CanMotionDrive
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceParameters
@@ -53,7 +53,7 @@ class OddBench:
             drive = ServoDrive(link, one, read_dictionary(one.eds, NODE), parameters)
         else:
             one = display(kind)
-            drive = AdmittanceDrive(link, one, read_dictionary(one.eds, NODE), parameters)
+            drive = CanMotionDrive(link, one, read_dictionary(one.eds, NODE), parameters)
         self.rig = Rig(can_buses(link, [drive], parameters), [drive], parameters)
 
     def record(self, _time: int, can_id: int, data: bytes | bytearray, is_rx: bool) -> None:

@@ -77,9 +77,9 @@ def drive_on(
     link: Link, axis: AxisParameters, dictionary: DriveDictionary, bus: CanBusParameters, *, dry_run: bool,
     lateness: float,
 ) -> ServoDrive:  # fmt: skip
-    """Return the master's image of the drive of one axis, or of its admittance display."""
+    """Return the master's image of the drive of one axis, in its mode of operation."""
     if axis.admittance is None:
         return ServoDrive(link, axis, dictionary, bus, dry_run=dry_run, lateness=lateness)
-    from canhaptic.drive.can.admittance_drive import AdmittanceDrive
+    from canhaptic.drive.can.motion_drive import CanMotionDrive
 
-    return AdmittanceDrive(link, axis, dictionary, bus)
+    return CanMotionDrive(link, axis, dictionary, bus)

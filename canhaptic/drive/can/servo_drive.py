@@ -6,7 +6,7 @@ The start sets the NMT state, heartbeats, the drive's watchdog of the master, an
 import zlib
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from canopen import ObjectDictionary
 
@@ -15,11 +15,14 @@ from canhaptic.canopen.objects import is_writable
 from canhaptic.drive.axis_parameters import LARGEST_U16, AxisParameters, CanBusParameters
 from canhaptic.drive.can import pdo_map
 from canhaptic.drive.can.link import Link
-from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan, codec, require_fit
+from canhaptic.drive.can.pdo_map import AxisMap, codec, require_fit
 from canhaptic.drive.can.sdo import SdoChannel, download
 from canhaptic.drive.profile.bring_up import BringUp, Confirmation
 from canhaptic.drive.profile.torque_axis import CycleRules, ReceivedEmergency, TorqueAxis
 from canhaptic.errors import SdoError, StartError
+
+if TYPE_CHECKING:
+    from canhaptic.drive.can.sensor_node import SensorNode
 
 _SLOTS: Final = {od.STATUSWORD: 0, od.POSITION_ACTUAL: 1, od.TORQUE_DEMAND: 2, od.TORQUE_ACTUAL: 2}
 _DOUBT: Final = 1 << 30  # of the frames awaited: order after SYNC is not sure
@@ -59,9 +62,11 @@ class ServoDrive(TorqueAxis):
         nmt_state: NMT state in its last heartbeat; None before the first.
         window: Window of the present SYNC, shared by the drives of a bus; set by the exchange.
         guarding: Life guarding that another master left armed, in words; "" where there was none.
+        further_frames: Frames of a sample, in words, that are no TPDOs of the drive.
+        sensor: Force sensor of the axis that is a CANopen node; None without one.
 
     Raises:
-        DictionaryError: The dictionary is not fit for cyclic torque.
+        DictionaryError: The dictionary is not fit for the mode of the drive.
     """
 
     axis: AxisParameters
@@ -89,6 +94,7 @@ class ServoDrive(TorqueAxis):
         self._pack = (lambda controlword, _torque: pack(controlword, 0)) if dry_run else pack  # behind the limiter's 0
         place = axis.causality.force.place
         self._listen({**_SLOTS, **({place[0]: 2} if place else {})})
+        self.sensor = self._listen_to_sensor()
         self.reset()
 
     def signature(self) -> str:
@@ -156,8 +162,9 @@ class ServoDrive(TorqueAxis):
         self._pending = 0
 
     def part(self, bits: int) -> str:
-        """Return the names of the TPDOs of a sample whose bits are set."""
-        return ", ".join(f"TPDO {plan.cob_id:#05x}" for n, plan in enumerate(self.map.tpdos) if bits >> n & 1)
+        """Return the names of the frames of a sample whose bits are set."""
+        names = (*(f"TPDO {plan.cob_id:#05x}" for plan in self.map.tpdos), *self.further_frames)
+        return ", ".join(name for n, name in enumerate(names) if bits >> n & 1)
 
     # --- out --------------------------------------------------------------------------------------------------------
 
@@ -200,7 +207,9 @@ class ServoDrive(TorqueAxis):
         self.link.send(od.NMT_COB_ID, bytes([command, self.axis.node_id]))
 
     def leave_operational(self) -> None:
-        """Command NMT pre-operational; raise LinkError."""
+        """Command NMT pre-operational to drive and sensor; raise LinkError."""
+        if self.sensor is not None:
+            self.sensor.command(od.NmtCommand.PRE_OPERATIONAL)
         self.command_nmt(od.NmtCommand.PRE_OPERATIONAL)
 
     def await_pre_operational(self) -> None:
@@ -253,6 +262,7 @@ class ServoDrive(TorqueAxis):
 
     def _listen(self, places: Mapping[int, int]) -> None:
         self._all_tpdos = (1 << len(self.map.tpdos)) - 1
+        self.further_frames = list[str]()
         found: set[int] = set()
         for number, plan in enumerate(self.map.tpdos):
             wanted = [e.index for e in plan.entries if e.index in places and places[e.index] not in found]
@@ -260,16 +270,32 @@ class ServoDrive(TorqueAxis):
                 wanted = [index for index in wanted if index != od.TORQUE_ACTUAL]
             found.update(places[index] for index in wanted)
             slots = tuple(places[index] for index in wanted)
-            self.link.subscribe(plan.cob_id, self._tpdo_handler(plan, 1 << number, wanted, slots))
+            image = codec(plan.entries, wanted)
+            self.link.subscribe(plan.cob_id, self._handler(1 << number, slots, image.size, image.unpack))
         take = self._take_guard_answer if self.map.watchdog == "life_guarding" else self._take_heartbeat
         self.link.subscribe(od.HEARTBEAT_BASE + self.axis.node_id, take)
         self.link.subscribe(od.EMCY_BASE + self.axis.node_id, self._take_emergency)
 
-    def _tpdo_handler(
-        self, plan: PdoPlan, bit: int, wanted: list[int], slots: tuple[int, ...]
+    def _listen_to_sensor(self) -> "SensorNode | None":
+        """Make the frame of a sensor with its own node one more part of the sample; return what commands it."""
+        node = self.axis.causality.force.node
+        if node is None:
+            return None
+        bit, value_in = self._all_tpdos + 1, node.value_in
+        self._all_tpdos |= bit
+        self.further_frames.append(f"frame {node.frame_id:#05x} of the force sensor")
+        take = self._handler(bit, (2,), node.frame_length, lambda data: (value_in(data),))
+        self.link.subscribe(node.frame_id, take)
+        if node.node_id is None:
+            return None
+        from canhaptic.drive.can.sensor_node import SensorNode
+
+        return SensorNode(self, node, node.node_id)
+
+    def _handler(
+        self, bit: int, slots: tuple[int, ...], length: int, unpack: Callable[[bytearray], tuple[Any, ...]]
     ) -> Callable[[bytearray], None]:
-        image = codec(plan.entries, wanted)
-        unpack, length = image.unpack, image.size
+        """Return the handler of one frame of a sample, whose values go into these places of it."""
         alone = bit if slots == (0, 1, 2) and len(self.map.tpdos) == 1 else -1
 
         def take(data: bytearray) -> None:
@@ -361,6 +387,12 @@ class CanBringUp(BringUp):
     """Configures one CANopen drive, step by step."""
 
     _drive: ServoDrive
+
+    def identify(self) -> None:
+        """Read which drive and which sensor these are, and write nothing to them; raise StartError."""
+        super().identify()
+        if self._drive.sensor is not None:
+            self._drive.sensor.identify(self)
 
     def refusal(self, name: str, seen: str, expected: str, remedy: str = "") -> StartError:
         """Return the error of a step; two nodes with the same ID take precedence as the cause."""
@@ -483,9 +515,14 @@ class CanBringUp(BringUp):
         return milliseconds if is_needed and milliseconds <= LARGEST_U16 else None
 
     def command_operational(self) -> None:
-        """Send NMT start; raise StartError."""
+        """Send NMT start to the drive and to a sensor with its own node; raise StartError."""
+        drive, sensor = self._drive, self._drive.sensor
+        if sensor is not None:
+            sensor.configure(self)
         with self.step("bus"):
-            self._drive.command_nmt(od.NmtCommand.START)
+            drive.command_nmt(od.NmtCommand.START)
+            if sensor is not None:
+                sensor.command(od.NmtCommand.START)
 
     def operational(self) -> Confirmation:
         """Confirmation that a heartbeat shows OPERATIONAL."""
@@ -494,8 +531,9 @@ class CanBringUp(BringUp):
         return Confirmation("NMT operational", wanted, is_given, seen, self.command_operational)
 
     def process_data(self) -> Confirmation:
-        """Confirmation that every TPDO arrives after a SYNC."""
-        drive, wanted = self._drive, "every TPDO after a SYNC"
+        """Confirmation that every TPDO, and the frame of a sensor with its own node, arrives after a SYNC."""
+        drive = self._drive
+        wanted = ", and ".join(("every TPDO after a SYNC", *drive.further_frames))
         is_given, seen = lambda: drive.is_complete, lambda: f"no {drive.culprit} of the right length"
         return Confirmation("PDO exchange", wanted, is_given, seen, lambda: None)
 

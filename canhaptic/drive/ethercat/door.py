@@ -39,12 +39,12 @@ def drive_on(
     line: EthercatBusCycle, axis: EthercatAxisParameters, dictionary: Dictionary, _: object, *, dry_run: bool,
     lateness: float,
 ) -> EthercatDrive:  # fmt: skip
-    """Return the master's image of the drive of one axis, or of its admittance display."""
+    """Return the master's image of the drive of one axis, in its mode of operation."""
     if axis.admittance is None:
         return EthercatDrive(line, axis, dictionary, dry_run=dry_run, lateness=lateness)
-    from canhaptic.drive.ethercat.display_drive import EthercatDisplay
+    from canhaptic.drive.ethercat.motion_drive import EthercatMotionDrive
 
-    return EthercatDisplay(line, axis, dictionary, dry_run=dry_run)
+    return EthercatMotionDrive(line, axis, dictionary, dry_run=dry_run)
 
 
 def cycles_of(line: EthercatBusCycle, *_: object) -> Sequence[EthercatBusCycle]:

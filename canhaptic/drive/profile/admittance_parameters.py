@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 from pydantic import field_validator, model_validator
 
 from canhaptic.canopen import objects as od
-from canhaptic.drive.profile.causality import ADMITTANCE
+from canhaptic.drive.profile.causality import ADMITTANCE, RAMPS
 from canhaptic.drive.profile.drive_objects import DRIVE_OBJECTS
 from canhaptic.units import OnDemand, Parameters, quantity
 
@@ -121,6 +121,23 @@ class AdmittanceParameters(Parameters):
 
     kind: ClassVar[str] = ADMITTANCE
     target_type: ClassVar[od.DataType] = od.DataType.INTEGER32
+    commands: ClassVar[Literal["torque", "motion"]] = "motion"
+    by_hand: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("speed_limit, admittance.acceleration_limit", "largest speed and acceleration that may be commanded"),
+        ("admittance.position_low, position_high", "lowest and highest position to which a command may lead"),
+        ("admittance.velocity_counts", "counts of 0x60FF for 1 m/s or 1 rad/s; left out: counts of 0x6064 per second"),
+        ("admittance.handle_acceleration", "largest acceleration of the handle by drive and hand: an over-estimate"),
+        (
+            "admittance.force.per_count, range, error, slew",
+            "scale and limits of the sensor; canhaptic commission measures",
+        ),
+        ("admittance.force.frozen_after", "SYNCs with one count after which the sensor counts as frozen"),
+    )
+    ramps: ClassVar[Mapping[int, int | None]] = dict.fromkeys(RAMPS)  # they would change a command that was certified
+    quick_stop: ClassVar[Mapping[int, int | None]] = {
+        od.QUICK_STOP_DECELERATION: None,
+        od.QUICK_STOP_OPTION: 2,  # along its ramp, then disabled
+    }
     offsets: ClassVar[tuple[int, ...]] = (od.POSITION_OFFSET, od.VELOCITY_OFFSET, od.TORQUE_OFFSET)
     owned: ClassVar[frozenset[int]] = frozenset(index for index, _ in DRIVE_OBJECTS)
     energy_from: ClassVar[Mapping[str, str]] = {}
@@ -130,6 +147,16 @@ class AdmittanceParameters(Parameters):
     needs_limit: ClassVar[bool] = True
     holds: ClassVar[str] = "zero velocity with its full torque"
     reads: ClassVar[Literal["", "none"]] = "none"
+
+    @property
+    def followed_acceleration(self) -> float | None:
+        """Acceleration that ramps inside the drive must follow; None: any."""
+        return self.acceleration_limit if self.mode == "velocity" else None
+
+    @property
+    def ends(self) -> tuple[float, ...]:
+        """Positions beyond which no command leads."""
+        return tuple(end for end in (self.position_low, self.position_high) if end is not None)
 
     @property
     def mode_code(self) -> int:

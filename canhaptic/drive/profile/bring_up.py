@@ -5,14 +5,20 @@ The steps follow CiA 402. A derived class adds the fieldbus: its states, watchdo
 
 import tomllib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Controlword, is_writable
-from canhaptic.drive.profile.fitness import MODES, agreed_rated_torque, decimal_period, written_max_torque
+from canhaptic.drive.profile.fitness import (
+    MODES,
+    agreed_rated_torque,
+    decimal_period,
+    largest_value,
+    written_max_torque,
+)
 from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.drive.safety.power_states import FAULTED, TORQUE_FREE, PowerState, drive_state
@@ -138,7 +144,8 @@ class BringUp(ABC):
 
     def check_rest(self) -> None:
         """Check the drive's report before it is enabled; raise StartError where it must not be enabled."""
-        return
+        if (objection := self._drive.rest_objection()) is not None:
+            raise self.refusal("force at rest", *objection)
 
     # --- the tools ------------------------------------------------------------------------------------------------
 
@@ -333,8 +340,21 @@ class BringUp(ABC):
         return text + (f", {self._drive.emergency}" if self._drive.emergency else "")
 
     def _zero_torque(self) -> None:
-        self._write_confirmed("zero torque", od.TARGET_TORQUE, 0, 0)
+        """Write a target at rest, the steepest ramps of the drive, zero offsets, and the quick stop."""
+        mode = self._drive.axis.causality
+        with self.step("zero torque"):
+            rest = self._drive.rest_target()
+        self._write_confirmed("zero torque", mode.target, 0, rest)
+        self._write_unless_asked("ramps", mode.ramps)
         self._zero_offsets()
+        self._write_unless_asked("quick stop", mode.quick_stop)
+
+    def _write_unless_asked(self, step: str, values: Mapping[int, int | None]) -> None:
+        """Write the objects that the drive has and the scene does not set; None: the largest value."""
+        dictionary, asked = self._drive.dictionary, self._drive.axis.written_objects
+        for index, value in values.items():
+            if is_writable(dictionary, index, 0) and (index, 0) not in asked:
+                self._write_confirmed(step, index, 0, largest_value(dictionary, index) if value is None else value)
 
     def _zero_offsets(self) -> None:
         """Zero the drive's offsets to its target: the account does not include a torque set elsewhere."""

@@ -9,6 +9,8 @@ from typing import Final, Literal
 
 from canhaptic.canopen import objects as od
 
+RAMPS: Final = (od.PROFILE_ACCELERATION, od.PROFILE_DECELERATION, od.MAX_ACCELERATION, od.MAX_DECELERATION)
+"""Ramps inside the drive, which alter a commanded velocity, in its velocity counts per second."""
 ADMITTANCE: Final = "an admittance display"
 """`kind` of an axis whose drive takes velocities and shows forces."""
 
@@ -25,6 +27,13 @@ class Impedance:
         mode_code: Value of 0x6060 for the drive's mode.
         target: Index of the object that carries the command.
         target_type: Its type.
+        commands: What the command sets.
+        by_hand: Keys of the scene that no dictionary supplies for this mode, with their meaning.
+        ramps: Objects of ramps inside the drive -> what the start writes; None: the largest value.
+        quick_stop: Objects of the drive's own quick stop -> what the start writes; None: the largest value.
+        followed_acceleration: Acceleration that ramps inside the drive must follow [m/s^2 or rad/s^2]; None: any.
+        velocity_counts: Counts of a velocity for 1 m/s or 1 rad/s; None: those of the position per second.
+        ends: Positions beyond which no command leads.
         offsets: Indices of offsets added to the drive's target, or to a setpoint derived from it: 0 while a rig runs.
         owned: Indices of further objects that only the start may write: reactions, limits and ramps.
         torques: Indices and names of the torques that may be read back.
@@ -40,6 +49,12 @@ class Impedance:
 
     kind = "cyclic torque"
     mode_code, target, target_type = od.CYCLIC_SYNC_TORQUE, od.TARGET_TORQUE, od.DataType.INTEGER16
+    commands: Literal["torque", "motion"] = "torque"
+    by_hand: tuple[tuple[str, str], ...] = ()
+    ramps: Mapping[int, int | None] = {}
+    quick_stop: Mapping[int, int | None] = {}
+    followed_acceleration = velocity_counts = None
+    ends: tuple[float, ...] = ()
     offsets: tuple[int, ...] = (od.TORQUE_OFFSET,)
     owned = frozenset[int]()
     torques = ((od.TORQUE_DEMAND, "torque demand"), (od.TORQUE_ACTUAL, "torque actual"))

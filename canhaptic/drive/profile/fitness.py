@@ -14,6 +14,7 @@ from typing import Final, Literal, NamedTuple
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import DataType, Dictionary, Variable, is_writable, without_flags
+from canhaptic.drive.profile.causality import RAMPS
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.scaling import axis_scaling, torque_limit_per_mille
 from canhaptic.drive.profile.torque_axis_parameters import TorqueAxisParameters
@@ -137,8 +138,6 @@ MODES: Final = {
     od.CYCLIC_SYNC_VELOCITY: "velocity",
     od.CYCLIC_SYNC_TORQUE: "torque",
 }
-RAMPS: Final = (od.PROFILE_ACCELERATION, od.PROFILE_DECELERATION, od.MAX_ACCELERATION, od.MAX_DECELERATION)
-"""Ramps inside the drive, which alter a commanded velocity, in its velocity counts per second."""
 
 
 class Verdict(Enum):
@@ -340,16 +339,16 @@ def _drive_objects(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterat
 
 
 def _ramps(dictionary: Dictionary, axis: TorqueAxisParameters) -> list[Finding]:
-    """Return a refusal where ramps in the drive alter the velocities that a display may command."""
-    display = axis.admittance
-    if display is None or display.mode != "velocity" or display.acceleration_limit is None:
+    """Return a refusal where ramps in the drive alter the velocities that may be commanded."""
+    mode = axis.causality
+    if mode.followed_acceleration is None:
         return []
     asked = (value or inf for (index, _), value in axis.written_objects.items() if index in RAMPS)  # 0 limits nothing
-    steepest = min([steepest_ramp(dictionary), *asked]) / abs(display.velocity_counts or axis.counts_per_unit)
-    if steepest >= display.acceleration_limit:
+    steepest = min([steepest_ramp(dictionary), *asked]) / abs(mode.velocity_counts or axis.counts_per_unit)
+    if steepest >= mode.followed_acceleration:
         return []
     unit = f"{axis.unit}/s^2"
-    text = f"take {steepest:.3g} {unit} at most, expected admittance.acceleration_limit {display.acceleration_limit:g}"
+    text = f"take {steepest:.3g} {unit} at most, expected admittance.acceleration_limit {mode.followed_acceleration:g}"
     hint = "no certificate covers a ramp inside the drive; lower acceleration_limit"
     return [Finding("0x60c5 ramps", Verdict.REFUSED, f"{text} {unit}; {hint}, or correct the limits in the dictionary")]
 

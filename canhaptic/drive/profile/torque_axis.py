@@ -173,6 +173,8 @@ class TorqueAxis(ABC):
     """Time that the drive may take to stop [ns]."""
     rest_text: str = "0"
     """Target of a drive at rest, in words."""
+    checks_rest: bool = True
+    """Whether the start refuses a drive by `rest_objection`."""
 
     def __init__(
         self, axis: TorqueAxisParameters, dictionary: Dictionary, sdo: ObjectAccess, rules: CycleRules,
@@ -598,6 +600,14 @@ class TorqueAxis(ABC):
         return StopReason.TORQUE_LIMITED
 
     # --- out --------------------------------------------------------------------------------------------------------
+
+    def rest_target(self) -> int:
+        """Return the target of a drive at rest; raise SdoError."""
+        return 0
+
+    def rest_objection(self) -> tuple[str, str] | None:
+        """Return what the drive shows at rest and must not, and what it should; None where it may be enabled."""
+        return None
 
     def rests_at(self, target: int) -> bool:
         """Whether a target read from the drive is consistent with rest."""

@@ -1,26 +1,22 @@
-"""An admittance display on any bus: force in the process data, velocity or position command out.
+"""One axis in cyclic synchronous velocity or position mode: forces in, velocities out. Knows objects, no frames.
 
-It runs in the same cycle as an axis in torque mode: its sample holds minus the hand's force in place of the torque of
-an impedance display. Its start also sets the steepest ramps, zero offsets, and a quick stop that brakes. A class of a
-bus derives from its own axis first, and then from `DisplayAxis`.
+It runs in the same cycle as an axis in torque mode: its sample holds minus the hand's force in place of the torque. A
+class of a bus derives from its own axis first, and then from `MotionAxis`.
 """
 
 from collections.abc import Callable
 from math import inf
-from typing import Final
+from typing import Final, cast
 
 from canhaptic.canopen import objects as od
-from canhaptic.canopen.objects import Dictionary, is_writable
+from canhaptic.canopen.objects import Dictionary
 from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceChannel
-from canhaptic.drive.profile.bring_up import BringUp
-from canhaptic.drive.profile.fitness import RAMPS, largest_value
 from canhaptic.drive.profile.scaling import AxisScaling
 from canhaptic.drive.profile.torque_axis import CycleRules, ObjectAccess, TorqueAxis
 from canhaptic.drive.profile.torque_axis_parameters import ReadBack, TorqueAxisParameters
 from canhaptic.drive.safety.limiter import TorqueLimiter
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.drive.safety.power_states import PowerState
-from canhaptic.errors import ParameterError
 from canhaptic.signals import Sample
 
 _tuple: Final = tuple.__new__
@@ -28,15 +24,8 @@ _WRAP: Final = 1 << 32
 _UNLIMITED_SPEED: Final = 1e9  # [m/s or rad/s] where the scene declares none, on the virtual bus only
 
 
-class DisplayAxis(TorqueAxis):
-    """A drive that follows velocities and reports forces; the arguments are those of `TorqueAxis`.
-
-    Attributes:
-        checks_rest: Whether the start refuses a sensor that shows more than `force.error` before the drive is enabled.
-
-    Raises:
-        ParameterError: The axis is not an admittance display.
-    """
+class MotionAxis(TorqueAxis):
+    """A drive that follows velocities and shows forces; the arguments are those of `TorqueAxis`."""
 
     stop_word = od.Controlword.QUICK_STOP
 
@@ -44,32 +33,29 @@ class DisplayAxis(TorqueAxis):
         self, axis: TorqueAxisParameters, dictionary: Dictionary, sdo: ObjectAccess, rules: CycleRules,
         read_back: ReadBack, dry_run: bool = False,
     ) -> None:  # fmt: skip
-        display = axis.admittance
-        if display is None:
-            raise ParameterError(f"{axis.name}: has no `admittance`; expected an admittance display")
-        self.display: AdmittanceParameters = display
-        self.force = ForceChannel(display.force, rules.sample_time)
-        self.checks_rest = display.force.sampling != "impulse"  # a sum does not show the present force
-        self._is_position = display.mode == "position"
+        self._given = given = cast(AdmittanceParameters, axis.admittance)
+        self.force = ForceChannel(given.force, rules.sample_time)
+        self._is_position = given.mode == "position"
         super().__init__(axis, dictionary, sdo, rules, read_back, dry_run)
+        self.checks_rest = given.force.sampling != "impulse"  # a sum does not show the present force
         counts, speed = axis.counts_per_unit, axis.speed_limit or _UNLIMITED_SPEED
         of_position = 1.0 / (counts * rules.sample_time)
-        self.command_quantum = of_position if self._is_position else 1.0 / (display.velocity_counts or counts)
-        self.stop_time = round(display.stop_time * 1e9)
-        self.limiter = TorqueLimiter(speed, rules.sample_time, display.acceleration_limit)
+        self.command_quantum = of_position if self._is_position else 1.0 / (given.velocity_counts or counts)
+        self.stop_time = round(given.stop_time * 1e9)
+        self.limiter = TorqueLimiter(speed, rules.sample_time, given.acceleration_limit)
         # A handle overshoots its command, and the hand moves it besides
         self._largest_step = 2.0 * speed * rules.sample_time
         # `AxisScaling` takes per mille, and here counts of the command
         self.command_scaling = AxisScaling(counts, self.command_quantum * 1000.0, axis.direction)
-        self._low = -inf if display.position_low is None else display.position_low
-        self._high = inf if display.position_high is None else display.position_high
+        self._low = -inf if given.position_low is None else given.position_low
+        self._high = inf if given.position_high is None else given.position_high
         if self._is_position:
             self.rest_text = "the position of the axis"
 
     @property
     def quantum(self) -> float:
         """Step of the force in its process data [N or N*m]."""
-        return abs(self.display.force.per_count)
+        return abs(self._given.force.per_count)
 
     def reset(self) -> None:
         """Clear everything received and commanded."""
@@ -133,6 +119,19 @@ class DisplayAxis(TorqueAxis):
             self._rest_targets = (self._target, begin)
         self._target = target  # only what was sent: the next command adds to it
 
+    def rest_target(self) -> int:
+        """Return the target of a drive at rest: a velocity of 0, or the present position; raise SdoError."""
+        return self.sdo.read(od.POSITION_ACTUAL) if self._is_position else 0
+
+    def rest_objection(self) -> tuple[str, str] | None:
+        """Return the force that is shown while nothing pushes: an offset alone would move the handle."""
+        declared, unit = self._given.force, "N" if self.axis.unit == "m" else "N*m"
+        shown = self.force.of(self.reported_per_mille)
+        if not self.checks_rest or -declared.error <= shown <= declared.error:
+            return None
+        wanted = f"at most force.error ({declared.error:g} {unit}), with no hand on the handle"
+        return f"{shown:.4g} {unit} before the drive is enabled", wanted
+
     def rests_at(self, target: int) -> bool:
         """Whether a target read from the drive is consistent with rest."""
         if not self._is_position:
@@ -141,38 +140,3 @@ class DisplayAxis(TorqueAxis):
             return True
         # A handle may move by so much between two readings of its position
         return abs((target - self.position_counts + _WRAP // 2) % _WRAP - _WRAP // 2) <= (1 << 10)
-
-
-class DisplayBringUp(BringUp):
-    """Configures one drive that follows velocities."""
-
-    _drive: DisplayAxis
-
-    def _zero_torque(self) -> None:
-        """Write a target at rest, the steepest ramps of the drive, zero offsets, and the quick stop."""
-        with self.step("zero torque"):
-            rest = self._sdo.read(od.POSITION_ACTUAL) if self._drive.display.mode == "position" else 0
-        self._write_confirmed("zero torque", self._drive.axis.causality.target, 0, rest)
-        for index in RAMPS:  # a ramp inside the drive changes the command behind the certificate's back
-            self._write_unless_asked("ramps", index, largest_value(self._drive.dictionary, index))
-        self._zero_offsets()
-        steepest = largest_value(self._drive.dictionary, od.QUICK_STOP_DECELERATION)
-        self._write_unless_asked("quick stop", od.QUICK_STOP_DECELERATION, steepest)
-        self._write_unless_asked("quick stop", od.QUICK_STOP_OPTION, 2)  # along its ramp, then disabled
-
-    def _write_unless_asked(self, step: str, index: int, value: int) -> None:
-        """Write an object if the drive has it and the scene does not set it."""
-        drive = self._drive
-        if is_writable(drive.dictionary, index, 0) and (index, 0) not in drive.axis.written_objects:
-            self._write_confirmed(step, index, 0, value)
-
-    def check_rest(self) -> None:
-        """Refuse a sensor that shows a force while nothing pushes: an offset alone would move the handle."""
-        drive = self._drive
-        if not drive.checks_rest:
-            return
-        force, declared = drive.force, drive.display.force
-        shown, unit = force.of(drive.reported_per_mille), "N" if drive.axis.unit == "m" else "N*m"
-        if not -declared.error <= shown <= declared.error:
-            wanted = f"at most force.error ({declared.error:g} {unit}), with no hand on the handle"
-            raise self.refusal("force at rest", f"{shown:.4g} {unit} before the drive is enabled", wanted)
