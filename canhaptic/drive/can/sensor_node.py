@@ -1,14 +1,18 @@
 """A force sensor that is its own CANopen node: its state, and the steps with which the start of its drive starts it."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from canhaptic.canopen import objects as od
 from canhaptic.drive.can.sdo import SdoChannel
 from canhaptic.errors import SdoError
 
 if TYPE_CHECKING:
+    from canopen import ObjectDictionary
+
     from canhaptic.canopen.attached_devices import ForceNode
-    from canhaptic.drive.can.servo_drive import CanBringUp, ServoDrive
+    from canhaptic.drive.can.link import Link
+    from canhaptic.drive.profile.bring_up import BringUp
+    from canhaptic.drive.profile.torque_axis import TorqueAxis
 
 _STEP = "force sensor"
 
@@ -17,25 +21,26 @@ class SensorNode:
     """A sensor that is a CANopen node.
 
     Args:
+        link: Link to its bus.
         drive: Drive whose samples have its force.
         node: Its frame.
         node_id: Its node ID.
     """
 
-    def __init__(self, drive: "ServoDrive", node: "ForceNode", node_id: int) -> None:
-        self._drive, self._node, self._node_id = drive, node, node_id
+    def __init__(self, link: "Link", drive: "TorqueAxis", node: "ForceNode", node_id: int) -> None:
+        self._link, self._drive, self._node, self._node_id = link, drive, node, node_id
 
     def command(self, command: od.NmtCommand) -> None:
         """Send an NMT command to the sensor; raise LinkError."""
-        self._drive.link.send(od.NMT_COB_ID, bytes([command, self._node_id]))
+        self._link.send(od.NMT_COB_ID, bytes([command, self._node_id]))
 
     def sdo(self) -> SdoChannel:
         """Return its SDO channel."""
         axis = self._drive.axis
         timeout, name = round(axis.sdo_timeout * 1e9), f"force sensor of {axis.name}"
-        return SdoChannel(self._drive.link, self._node_id, self._drive.dictionary, name, timeout)
+        return SdoChannel(self._link, self._node_id, cast("ObjectDictionary", self._drive.dictionary), name, timeout)
 
-    def identify(self, start: "CanBringUp") -> None:
+    def identify(self, start: "BringUp") -> None:
         """Compare the sensor's 0x1000, and write nothing to it; raise StartError."""
         sensor, device_type = self.sdo(), self._node.device_type
         with start.step(_STEP):
@@ -49,7 +54,7 @@ class SensorNode:
         if seen == od.CIA402_PROFILE if device_type is None else seen != device_type:
             raise start.refusal(_STEP, f"0x1000 has the low word {seen}", str(device_type or "any but a drive's"))
 
-    def configure(self, start: "CanBringUp") -> None:
+    def configure(self, start: "BringUp") -> None:
         """Prepare the sensor for NMT start, tared if configured; raise StartError."""
         channel, node = self.sdo(), self._node
         if self._drive.restores:  # an older master left the sensor alone
@@ -61,7 +66,7 @@ class SensorNode:
             with start.step("tare"):
                 channel.write(tare[0], 1, tare[1], 4)
 
-    def _answer_sync(self, sensor: SdoChannel, start: "CanBringUp") -> None:
+    def _answer_sync(self, sensor: SdoChannel, start: "BringUp") -> None:
         """Make the sensor's TPDO 1 answer each SYNC; raise StartError."""
         place = od.TPDO_COMMUNICATION, 2
         with start.step(_STEP):

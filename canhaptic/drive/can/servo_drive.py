@@ -290,7 +290,7 @@ class ServoDrive(TorqueAxis):
             return None
         from canhaptic.drive.can.sensor_node import SensorNode
 
-        return SensorNode(self, node, node.node_id)
+        return SensorNode(self.link, self, node, node.node_id)
 
     def _handler(
         self, bit: int, slots: tuple[int, ...], length: int, unpack: Callable[[bytearray], tuple[Any, ...]]

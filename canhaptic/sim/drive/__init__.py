@@ -40,7 +40,7 @@ def parse_place(key: str | int) -> tuple[int, int]:
     return place
 
 
-class AdmittanceScaling(Parameters):
+class MotionScaling(Parameters):
     """Scales of a simulated drive that serves an admittance display."""
 
     force_object: str | None = None
@@ -127,7 +127,7 @@ class SimulatedDriveParameters(Parameters):
     sdo_size_indicated: bool = True
     sync_losses_to_fault: Annotated[int, quantity("1", ge=1, le=1000)] = 3
     fault: tuple[TorqueFault, ...] = ()
-    display: AdmittanceScaling | None = None
+    display: MotionScaling | None = None
     brake: Annotated[Brake, OnDemand("canhaptic.canopen.attached_devices:Brake")] | None = None
 
     @field_validator("objects", "absent", "refused")

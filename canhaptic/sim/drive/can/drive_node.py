@@ -115,13 +115,13 @@ class SimulatedDrive:
         timers.start(timers.add(self._power_on), 0)
 
     def _servo_and_sensor(self, motor: Any, parameters: SimulatedDriveParameters) -> "tuple[Servo, SensorNode | None]":
-        """Return the power stage, and the force sensor of an admittance display with its own node."""
-        servo, display = servo_of(self.store, motor, parameters), parameters.display
-        if display is None or display.force_node is None:
+        """Return the power stage, and a force sensor with its own node."""
+        servo = servo_of(self.store, motor, parameters)
+        if (scales := servo.sensor_on_bus) is None:
             return servo, None
         from canhaptic.sim.drive.can.sensor_node import SensorNode
 
-        return servo, SensorNode(display, motor.read_force, self._send)
+        return servo, SensorNode(scales, motor.read_force, self._send)
 
     # --- what a group of drives asks of each ------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from canopen.objectdictionary import ODVariable
 from canhaptic.canopen import objects
 from canhaptic.canopen.attached_devices import ForceNode
 from canhaptic.canopen.objects import DataType, NmtCommand, NmtState
-from canhaptic.sim.drive import AdmittanceScaling
+from canhaptic.sim.drive import MotionScaling
 from canhaptic.sim.drive.can.nmt_slave import command_for
 from canhaptic.sim.drive.can.process_data import Content
 from canhaptic.sim.drive.can.sdo_server import SdoServer
@@ -23,7 +23,7 @@ class SensorNode:
     """A force sensor as a node of its own on the bus.
 
     Args:
-        display: Scaling of the sensor and layout of its frame.
+        scales: Scaling of the sensor and layout of its frame.
         read: Returns the present reading of the sensor.
         send: Called with COB-ID and content of a frame.
 
@@ -31,10 +31,8 @@ class SensorNode:
         state: NMT state; a sensor without a node ID is operational at once.
     """
 
-    def __init__(
-        self, display: AdmittanceScaling, read: Callable[[], float], send: Callable[[int, Content], None]
-    ) -> None:
-        self._display, self._node = display, cast(ForceNode, display.force_node)
+    def __init__(self, scales: MotionScaling, read: Callable[[], float], send: Callable[[int, Content], None]) -> None:
+        self._scales, self._node = scales, cast(ForceNode, scales.force_node)
         self._read, self._send = read, send
         self._zero = 0.0  # force that was taken for zero [N or N*m]
         self.state = NmtState.BOOT_UP
@@ -87,8 +85,8 @@ class SensorNode:
         if self.state is not NmtState.OPERATIONAL or not is_asked:
             return
         try:
-            scaled = (self._read() - self._zero) / self._display.force_per_count
-            frame = self._node.frame_of(scaled + self._display.force_offset_counts)
+            scaled = (self._read() - self._zero) / self._scales.force_per_count
+            frame = self._node.frame_of(scaled + self._scales.force_offset_counts)
         except (ValueError, OverflowError):  # no number: the frame stays away
             return
         self._send(self._node.frame_id, frame)

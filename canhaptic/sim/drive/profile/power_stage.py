@@ -1,4 +1,4 @@
-"""The power stage of a simulated drive, of the kind that its parameters ask for."""
+"""The power stage of a simulated drive, by its mode of operation."""
 
 from typing import Any
 
@@ -11,6 +11,6 @@ def servo_of(store: ObjectStore, motor: Any, parameters: SimulatedDriveParameter
     """Return the power stage of a drive: one that follows torques, or one that follows velocities."""
     if parameters.display is None:
         return Servo(store, motor, parameters)
-    from canhaptic.sim.drive.profile.admittance_servo import AdmittanceServo
+    from canhaptic.sim.drive.profile.motion_servo import MotionServo
 
-    return AdmittanceServo(store, motor, parameters)
+    return MotionServo(store, motor, parameters)

@@ -13,7 +13,7 @@ from canhaptic.canopen import objects
 from canhaptic.canopen.objects import CYCLIC_SYNC_TORQUE, HOMING, DataType, SdoAbort, StatusBit
 from canhaptic.errors import ParameterError
 from canhaptic.signals import PlantEnergy
-from canhaptic.sim.drive import SimulatedDriveParameters
+from canhaptic.sim.drive import MotionScaling, SimulatedDriveParameters
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
 from canhaptic.sim.drive.profile.state_machine import DriveState, PowerCommand, StateMachine, command_of
@@ -245,8 +245,6 @@ def _homing_of(store: ObjectStore, motor: Motor) -> "Homing | None":
 def _fault_of(parameters: SimulatedDriveParameters) -> "FaultyTorque | None":
     if not parameters.fault:
         return None
-    if parameters.display is not None:
-        raise ParameterError("fault: an admittance display has no torque that is commanded; leave it out")
     from canhaptic.sim.drive.profile.torque_fault import FaultyTorque
 
     return FaultyTorque(parameters.fault)
@@ -267,7 +265,10 @@ class Servo:
         has_event: Whether the statusword changed since the owner last cleared this.
         was_reset: Whether a fault was reset since the owner last cleared this.
         fault_code: Code of a fault that the power stage detected, for the owner to announce; 0 for none.
+        sensor_on_bus: Scales of a force sensor with its own node; None without one.
     """
+
+    sensor_on_bus: MotionScaling | None = None
 
     def __init__(self, store: ObjectStore, motor: Motor, parameters: SimulatedDriveParameters) -> None:
         brake = parameters.brake

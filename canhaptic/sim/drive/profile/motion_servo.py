@@ -5,12 +5,12 @@ acceleration, the smaller of 0x6084 and 0x60C6 its deceleration; an object with 
 """
 
 from math import inf
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from canhaptic.canopen import objects
 from canhaptic.canopen.objects import CYCLIC_SYNC_POSITION, CYCLIC_SYNC_VELOCITY, DataType, StatusBit
 from canhaptic.errors import ParameterError
-from canhaptic.sim.drive import SimulatedDriveParameters, parse_place
+from canhaptic.sim.drive import MotionScaling, SimulatedDriveParameters, parse_place
 from canhaptic.sim.drive.profile.object_store import Entry, ObjectStore
 from canhaptic.sim.drive.profile.servo import SENSOR_FAULT, Servo
 from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
@@ -28,30 +28,30 @@ _SPEEDING: Final = (objects.PROFILE_ACCELERATION, objects.MAX_ACCELERATION)
 _SLOWING: Final = (objects.PROFILE_DECELERATION, objects.MAX_DECELERATION)
 
 
-class AdmittanceServo(Servo):
-    """Power stage, velocity loop and force sensor of an admittance display.
+class MotionServo(Servo):
+    """Power stage, velocity loop and force sensor of a drive in the cyclic modes 8 and 9.
 
     Raises:
-        ParameterError: `display` is missing, or the dictionary lacks its force object.
+        ParameterError: The dictionary lacks its force object, or a torque is to be at fault.
     """
 
     motor: "AdmittancePlant"
 
     def __init__(self, store: ObjectStore, motor: "AdmittancePlant", parameters: SimulatedDriveParameters) -> None:
-        display = parameters.display
-        if display is None:
-            raise ParameterError("display: got none, expected the scaling of the force sensor; add `display`")
+        scales = cast(MotionScaling, parameters.display)
+        if parameters.fault:
+            raise ParameterError("fault: an admittance display has no torque that is commanded; leave it out")
         self._target_velocity: Any = store.entry(objects.TARGET_VELOCITY, DataType.INTEGER32)
         self._target_position = store.entry(objects.TARGET_POSITION, DataType.INTEGER32)
-        force = None if display.force_object is None else store.find(*parse_place(display.force_object))
-        if force is None and display.force_node is None:
+        force = None if scales.force_object is None else store.find(*parse_place(scales.force_object))
+        if force is None and scales.force_node is None:
             raise ParameterError(
-                f"display.force_object: got {display.force_object}, which the dictionary lacks; name one of its objects"
+                f"display.force_object: got {scales.force_object}, which the dictionary lacks; name one of its objects"
             )
-        self._force, self._per_count, self._force_offset = force, display.force_per_count, display.force_offset_counts
-        self._per_velocity_count = parameters.position_sign / (display.velocity_counts or parameters.counts_per_unit)
+        self._force, self._per_count, self._force_offset = force, scales.force_per_count, scales.force_offset_counts
+        self._per_velocity_count = parameters.position_sign / (scales.velocity_counts or parameters.counts_per_unit)
         self._per_position_count = parameters.position_sign / parameters.counts_per_unit
-        self._store, self._hidden_ramp = store, display.ramp or inf
+        self._store, self._hidden_ramp = store, scales.ramp or inf
         self._velocity_offset: Any = store.optional(objects.VELOCITY_OFFSET, DataType.INTEGER32)
         self._position_offset = store.optional(objects.POSITION_OFFSET, DataType.INTEGER32)
         self._offset = 0  # of the torque that acts [per mille of the rated torque]
@@ -60,6 +60,7 @@ class AdmittanceServo(Servo):
         self._setpoint: int | None = None
         self._has_taken, self._sampled_at, self._period = False, 0, 0.0
         super().__init__(store, motor, parameters)
+        self.sensor_on_bus = None if scales.force_node is None else scales
         for commanded in self._commands():
             commanded.changed = self.obey
 
