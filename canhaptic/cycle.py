@@ -125,7 +125,7 @@ class Cycle:
         self._log: EnergyLogWriter | _FailedLog | None = log
         self._truths = truths
         self._loss_meters, self._metered = tuple(loss_meters), {port.name: port for port in self.ports}
-        self._doubts = _doubts(self._loss_meters, rig.bus.sample_time)
+        self._uncertainties = _uncertainties(self._loss_meters, rig.bus.sample_time)
         self._look_at = self._look_every = max(1, round(_LOOK / rig.bus.sample_time))
         self._period = rig.bus.sample_time_ns
         self._jitters = [round(part * self._period) + 1 for part in jitters or ()]
@@ -155,7 +155,7 @@ class Cycle:
         rig, read = self.rig, self._truths
         truths = read() if read is not None else None
         if rig.periods > 1:
-            self.all_ports.lasted(rig.periods)
+            self.all_ports.skipped(rig.periods)
         balances = self._at_rest.copy()
         for port in self._steps:  # displacement -> energy balance [J]
             port.step(samples, balances)
@@ -221,7 +221,7 @@ class Cycle:
 
     def _lost(self, meter: EnergyLossMeter, balances: Sequence[EnergyBalance], samples: Sequence[Sample]) -> str:
         """Return the text on a port that generated too much energy, and how much; "" unless that is certain."""
-        uncertainty = sum(self._likely_doubt(axis) + self._lost_to_friction(axis, samples) for axis in meter.axes)
+        uncertainty = sum(self._likely_uncertainty(axis) + self._lost_to_friction(axis, samples) for axis in meter.axes)
         row, supplied = self._metered[meter.name].row, meter.supplied
         if supplied is None:
             supplied = self.ledgers[row].supplied + balances[row].supplied
@@ -233,7 +233,7 @@ class Cycle:
     def _unsure(self) -> tuple[StopReason, str] | None:
         """Return why the uncertainty of a port grows too fast, and how large it is; None without such a port."""
         self._look_at = self.cycles + self._look_every
-        for meter, budget in self._doubts:
+        for meter, budget in self._uncertainties:
             known = float(getattr(self._metered[meter.name].controller, "energy_resolution", 0.0))
             known += sum(self.rig.drives[axis].contested for axis in meter.axes)
             grown, meter.uncertainty = known - meter.uncertainty, known
@@ -259,7 +259,7 @@ class Cycle:
             return 0.0
         return known.dissipated + friction * max(0.0, abs(samples[axis].position - known.position) - blur)
 
-    def _likely_doubt(self, axis: int) -> float:
+    def _likely_uncertainty(self, axis: int) -> float:
         """Return the largest likely error of an axis's energy [J], not counting commands that were lost undetected.
 
         If no torque is read back, such commands would make every loss of energy uncertain, and no rig would stop.
@@ -366,7 +366,7 @@ def _judge(ports: Ports) -> "EnergyAudit":
     return EnergyAudit(ports)
 
 
-def _doubts(meters: Sequence[EnergyLossMeter], sample_time: float) -> list[tuple[EnergyLossMeter, LossBudget]]:
+def _uncertainties(meters: Sequence[EnergyLossMeter], sample_time: float) -> list[tuple[EnergyLossMeter, LossBudget]]:
     """Return the meters of limited uncertainty, each with its budget [J]: what 1 s of the limit makes."""
     limits = ((meter, meter.uncertainty_limit) for meter in meters if meter.uncertainty_limit < inf)
     return [(meter, LossBudget(limit * sample_time, limit)) for meter, limit in limits]

@@ -87,11 +87,11 @@ class Ports:
         """Controller of each axis that is a port by itself, by its index."""
         return {port.row: port.controller for port in self.ports if port.row < self.axes}
 
-    def lasted(self, periods: int) -> None:
+    def skipped(self, periods: int) -> None:
         """Record that SYNCs were skipped: the hold that ends next lasted this number of sample times."""
         for port in self.ports:
-            if periods > 1 and hasattr(port.controller, "lasted"):
-                port.controller.lasted(float(periods))
+            if periods > 1 and hasattr(port.controller, "skipped"):
+                port.controller.skipped(float(periods))
 
     def step(self, samples: Sequence[Sample], balances: list[EnergyBalance]) -> None:
         """Step every port; see `Port.step`."""

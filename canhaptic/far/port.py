@@ -112,7 +112,7 @@ def step(_environment: object, run: FarRun, position: float, torque_applied: flo
     axis = state.axis
     if not axis.started:
         return start(run, position)
-    holds, open_before = axis.missed + axis.lasted, state.bound.resolution
+    holds, open_before = axis.missed + axis.hold_length, state.bound.resolution
     unlike = memory.axis.commands.torques[axis.oldest] - torque_applied
     is_whole = holds == 1.0 and abs(unlike) <= 0.5 * settings.quantum + 1e-9
     displacement, _, _, uncertainty = end(run, position, torque_applied)

@@ -44,12 +44,12 @@ def test_what_is_left_open_is_the_sum_of_what_position_torque_and_lateness_leave
         meter.take(place, 0.0, 0, touches=False)
         torque = changes = uneven = dissipated = speed = most = 0.0
         for _ in range(12):
-            lasted = draw.choice([0.2, 1.0, 1.0, 3.0])
-            at, last, before = at + lasted, place, torque
+            hold_length = draw.choice([0.2, 1.0, 1.0, 3.0])
+            at, last, before = at + hold_length, place, torque
             place += draw.choice([0.0, draw.uniform(-1e-4, 1e-4), draw.uniform(-3e-6, 3e-6)])
             torque = draw.choice([0.0, torque, draw.uniform(-3.0, 3.0)])
             meter.take(place, torque, at, touches=True)
-            holds, moved, position_uncertainty = max(0.5, lasted), abs(place - last), 2.0 * known.position
+            holds, moved, position_uncertainty = max(0.5, hold_length), abs(place - last), 2.0 * known.position
             dissipated += (known.device_damping or 0.0) * max(0.0, moved - position_uncertainty) ** 2 / (holds * T)
             mean = moved / holds
             if torque or before:

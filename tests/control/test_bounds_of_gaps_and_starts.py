@@ -13,7 +13,7 @@ from canhaptic.control.certificates.scalar_bounds import (
 )
 from canhaptic.control.environments.damper_wall import DamperWall
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.multi_axis.group_account import Gap, doubt_of, farthest
+from canhaptic.control.multi_axis.group_account import Gap, farthest, uncertainty_of
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
 from canhaptic.control.passivity.stepped import (
@@ -72,7 +72,7 @@ def test_what_a_torque_more_or_less_in_a_lost_hold_gives_out_is_its_difference_o
             more = torque - last
             sign = 1.0 if more > 0.0 else -1.0
             expected = abs(more) * farthest(gap, sign, 2, along=torque * sign > 0.0)
-            assert doubt_of(gap, 2, torque, last) == pytest.approx(expected, abs=1e-18)
+            assert uncertainty_of(gap, 2, torque, last) == pytest.approx(expected, abs=1e-18)
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2])

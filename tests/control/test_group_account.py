@@ -13,14 +13,14 @@ from canhaptic.control.multi_axis.group_account import (
     GroupAccount,
     account_memory,
     certain_energy,
-    doubt_of,
-    doubt_of_axis,
-    doubt_of_mover,
     end_group_gap,
     end_group_hold,
     fade,
     largest_of,
     quotient,
+    uncertainty_of,
+    uncertainty_of_axis,
+    uncertainty_of_mover,
 )
 from canhaptic.control.multi_axis.group_certificates import (
     axes_of,
@@ -130,7 +130,7 @@ def test_lost_samples_of_a_group_are_in_doubt_by_each_axis_for_itself(missed: in
         group = group_of(seed)
         axes, memory, ended, holds = group.settings.axes, group.memory, group.ended, missed + 1
         norm = math.sqrt(sum((axes.before[i] + axes.during[i]) * largest(group, missed, i) ** 2 for i in range(2)))
-        doubt, uncertainty, changes, earned, blurs = 0.0, 0.0, group.account.changes, group.account.dissipated, []
+        uncertainty, counted, changes, earned, blurs = 0.0, 0.0, group.account.changes, group.account.dissipated, []
         for i in range(2):
             loop, moved = group.loops[i], ended.displacement[i]
             most, count = largest(group, missed, i), loop.encoder_count
@@ -140,18 +140,18 @@ def test_lost_samples_of_a_group_are_in_doubt_by_each_axis_for_itself(missed: in
             uneven = (growth - 1.0) * excursion
             error, position_uncertainty = count + holds * uneven, memory.position_uncertainty[i] + count + uneven
             gap = Gap(holds, moved, memory.displacement[i], error, position_uncertainty, step, axes.lost[i])
-            doubt += doubt_of_axis(axes, memory, ended, gap, missed, i)
+            uncertainty += uncertainty_of_axis(axes, memory, ended, gap, missed, i)
             lost = axes.lost[i] * holds * excursion + uneven
             blurs.append(0.5 * missed * step + lost if group.pull else 0.0)
             changes += holds * count * most
-            uncertainty += 0.5 * count * abs(ended.applied[i])
+            counted += 0.5 * count * abs(ended.applied[i])
             earned += axes.damping[i] * max(0.0, abs(moved) - count) ** 2 / holds
             assert largest_of(memory, ended, missed, i) == most
         found, further = end_group_gap(group.settings, group.account, memory, ended, missed)
-        assert close(found, doubt)
+        assert close(found, uncertainty)
         assert further == 0.0
         assert close(group.account.changes, changes)
-        assert close(group.account.uncertainty, changes + uncertainty)
+        assert close(group.account.uncertainty, changes + counted)
         assert close(group.account.dissipated, earned)
         assert all(close(one, other) for one, other in zip(memory.position_uncertainty, blurs, strict=True))
         assert memory.displacement == [moved / holds for moved in ended.displacement]
@@ -172,13 +172,13 @@ def test_in_each_lost_hold_any_torque_sent_until_then_may_have_acted(missed: int
                 sent = [memory.torques[axis], *(row[axis] for row in ended.lost[:hold])]
                 apart = [torque - last for torque in sent]
                 if group.pull:
-                    total += max(doubt_of(gap, hold, torque, last) for torque in sent)
+                    total += max(uncertainty_of(gap, hold, torque, last) for torque in sent)
                 elif axes.path > 0.0:
                     total += max(map(abs, apart)) * 0.3 * group.loops[0].timing.longest
                 else:
                     total += max(more * gap.moved + abs(more) * gap.error for more in apart) / gap.holds
                     total += max(more**2 for more in apart) / (4.0 * b)
-            assert close(doubt_of_axis(axes, memory, ended, gap, missed, axis), total), seed
+            assert close(uncertainty_of_axis(axes, memory, ended, gap, missed, axis), total), seed
 
 
 def test_a_mover_gives_with_the_torques_that_may_have_acted() -> None:
@@ -190,7 +190,7 @@ def test_a_mover_gives_with_the_torques_that_may_have_acted() -> None:
         for i in range(2):
             sent = [memory.torques[i], *(row[i] for row in ended.lost[: hold + 1])]
             expected += max((ended.applied[i] - torque) * memory.passing[i] for torque in sent)
-        assert close(doubt_of_mover(memory, ended, hold), expected)
+        assert close(uncertainty_of_mover(memory, ended, hold), expected)
 
 
 def test_holds_that_ended_book_each_axis_with_the_torque_applied_and_what_was_inside_it() -> None:

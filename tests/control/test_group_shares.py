@@ -14,8 +14,6 @@ from canhaptic.control.multi_axis.group_account import (
     GroupAccount,
     QueuedTorques,
     account_memory,
-    doubt_of_late_gap,
-    doubt_of_late_group,
     end_group_gap,
     end_group_hold,
     extraction_of,
@@ -30,6 +28,8 @@ from canhaptic.control.multi_axis.group_account import (
     share_of_late,
     shares,
     shares_per_axis,
+    uncertainty_of_late_gap,
+    uncertainty_of_late_group,
     worst_case,
 )
 from canhaptic.control.multi_axis.group_certificates import (
@@ -245,11 +245,11 @@ def test_what_a_hold_with_late_torques_leaves_in_doubt_counts_with_what_the_devi
             ended.displacement[i], ended.applied[i] = case.draw.uniform(-4e-5, 4e-5), case.draw.uniform(-3.0, 3.0)
         older = [*memory.before.highest], [*memory.before.lowest]
         axes = case.settings.axes
-        doubt, damped = doubt_of_late_group(axes, memory, ended.displacement, ended.applied)
+        uncertainty, damped = uncertainty_of_late_group(axes, memory, ended.displacement, ended.applied)
         memory.before.highest[:], memory.before.lowest[:] = older
         earned = sum(b * moved**2 for b, moved in zip(axes.damping, ended.displacement, strict=True))
-        assert end_group_hold(case.settings, account, memory, ended) == pytest.approx(doubt)
-        assert account.dissipated == pytest.approx(1e-3 + earned + (doubt - damped if axes.by_damping else 0.0))
+        assert end_group_hold(case.settings, account, memory, ended) == pytest.approx(uncertainty)
+        assert account.dissipated == pytest.approx(1e-3 + earned + (uncertainty - damped if axes.by_damping else 0.0))
 
 
 def test_lost_samples_with_late_torques_leave_more_in_doubt() -> None:
@@ -263,7 +263,7 @@ def test_lost_samples_with_late_torques_leave_more_in_doubt() -> None:
         roots = [math.sqrt(b + d) for b, d in zip(axes.before, axes.during, strict=True)]
         push = math.hypot(*(r * f for r, f in zip(roots, most, strict=True))) + axes.hand
         reach = [abs(ended.displacement[i]) + 2.0 * start[i] + 5.0 * roots[i] * push for i in range(2)]
-        late = sum(doubt_of_late_gap(axes, memory, ended, missed, i, reach[i]) for i in range(2))
+        late = sum(uncertainty_of_late_gap(axes, memory, ended, missed, i, reach[i]) for i in range(2))
         found = []
         for is_uneven in (True, False):
             memory.before.highest[:], memory.before.lowest[:] = older

@@ -51,16 +51,18 @@ def begun() -> tuple[GuardedSettings, GuardedState, Memory]:
     return settings, state, memory
 
 
-@pytest.mark.parametrize("lasted", [1.0, 2.0, 4.0])
-def test_of_a_hold_that_lasted_longer_the_mean_motion_goes_on_and_the_next_one_is_a_usual_one(lasted: float) -> None:
+@pytest.mark.parametrize("hold_length", [1.0, 2.0, 4.0])
+def test_of_a_hold_that_lasted_longer_the_mean_motion_goes_on_and_the_next_one_is_a_usual_one(
+    hold_length: float,
+) -> None:
     settings, state, memory = begun()
-    state.axis.lasted = lasted
+    state.axis.hold_length = hold_length
     displacement, _, _, _ = end(Run(settings, state, memory), 0.013, 0.5)
     assert displacement == pytest.approx(0.003)
-    assert state.bound.displacement == pytest.approx(0.003 / lasted)
-    assert lasted == 1.0 or state.motion.step == pytest.approx(0.003 / lasted)
-    assert (state.bound.position_uncertainty > 0.0) is (lasted > 1.0)
-    assert state.axis.lasted == 1.0
+    assert state.bound.displacement == pytest.approx(0.003 / hold_length)
+    assert hold_length == 1.0 or state.motion.step == pytest.approx(0.003 / hold_length)
+    assert (state.bound.position_uncertainty > 0.0) is (hold_length > 1.0)
+    assert state.axis.hold_length == 1.0
 
 
 def test_behind_lost_samples_the_newest_torque_acts_and_the_difference_from_the_older_one_is_in_doubt() -> None:

@@ -93,8 +93,8 @@ def test_what_a_lost_sample_hides_of_every_hand_is_the_closed_form() -> None:
     moved = (first - second) * T / (4.0 * DAMPING)
     short = (first - second) * moved - 2.0 * DAMPING / T * moved * moved
     assert short == pytest.approx((first - second) ** 2 * T / (8.0 * DAMPING))
-    doubt = end_gap(declared, TorqueBound(), 0.0, second, 2, max(first, second), abs(first - second))
-    assert short <= doubt <= 2.0 * short * (1.0 + 1e-12)
+    uncertainty = end_gap(declared, TorqueBound(), 0.0, second, 2, max(first, second), abs(first - second))
+    assert short <= uncertainty <= 2.0 * short * (1.0 + 1e-12)
 
 
 def test_a_sync_that_was_skipped_behind_a_lost_sample_counts_as_another_lost_one() -> None:
@@ -110,7 +110,7 @@ def test_a_sync_that_was_skipped_behind_a_lost_sample_counts_as_another_lost_one
             held = controller.step(position, 0.0).torque
         controller.sample_lost()
         if is_skipped:
-            controller.lasted(2.0)
+            controller.skipped(2.0)
         else:
             controller.sample_lost()
         balances = [controller.step(6e-3, held), controller.step(7e-3, held)]

@@ -14,14 +14,14 @@ from canhaptic.control.multi_axis.group_account import (
     GroupAccount,
     QueuedTorques,
     account_memory,
-    doubt_of_late_gap,
-    doubt_of_late_group,
     free_energy,
     norms_of,
     older_needs,
     older_size,
     share_of_late,
     shares,
+    uncertainty_of_late_gap,
+    uncertainty_of_late_group,
 )
 from canhaptic.control.multi_axis.group_certificates import (
     AxisLimits,
@@ -210,7 +210,7 @@ def test_a_hold_with_late_torques_is_in_doubt_by_what_they_differ_by_over_how_fa
             by_hand += apart * s * (max(start, timing.swing[i] * path) + step if axes.by_hand else axes.path)
             damped += apart * s * (path + apart / (4.0 * axes.damping[i])) if axes.by_damping else 0.0
         expected = by_hand if axes.by_hand or axes.path else damped
-        found = doubt_of_late_group(axes, memory, moved, held)
+        found = uncertainty_of_late_group(axes, memory, moved, held)
         assert close(found[0], expected), seed
         assert close(found[1], damped), seed
         rows = passed(axes, (high, low), memory.torques)
@@ -238,7 +238,7 @@ def test_lost_samples_with_late_torques_are_in_doubt_by_the_range_of_all_of_them
             else:
                 path = abs(ended.displacement[i]) + axes.counts[i]
                 expected = apart * s * (path + holds * 3.0 * apart / (4.0 * axes.damping[i]))
-            assert close(doubt_of_late_gap(axes, memory, ended, missed, i, 5e-5), expected), seed
+            assert close(uncertainty_of_late_gap(axes, memory, ended, missed, i, 5e-5), expected), seed
             assert (memory.before.highest[i], memory.before.lowest[i]) == (max(acted), min(acted))
 
 

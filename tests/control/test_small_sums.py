@@ -125,22 +125,24 @@ def test_lost_samples_leave_open_each_torque_along_the_excursion() -> None:
     assert (axis.missed, axis.oldest, memory.commands.torques) == (0, 0, [1.0, 1.0])
     axis, memory = axis_of([1.0, 1.0], missed=1, moved=0.01)
     assert let_samples_pass(axis, memory.commands, 0.05, 1.0, 2.5) == 0.0  # all of them are the one that acted
-    axis, memory = axis_of([3.0, 1.0], missed=1, moved=0.01, lasted=3.0)
+    axis, memory = axis_of([3.0, 1.0], missed=1, moved=0.01, hold_length=3.0)
     assert let_samples_pass(axis, memory.commands, 0.05, 1.0, 9.0) == pytest.approx((2.0 + 2 * 2.0) * (0.05 + 3 * 0.01))
 
 
-@pytest.mark.parametrize(("missed", "lasted"), [(1, 1.0), (0, 2.0), (2, 1.0)])
-def test_a_velocity_from_a_window_begins_anew_after_a_hold_of_several_sample_times(missed: int, lasted: float) -> None:
+@pytest.mark.parametrize(("missed", "hold_length"), [(1, 1.0), (0, 2.0), (2, 1.0)])
+def test_a_velocity_from_a_window_begins_anew_after_a_hold_of_several_sample_times(
+    missed: int, hold_length: float
+) -> None:
     settings = HoldSettings(T, 1, math.inf, 1e-6, 5, 0)
     axis, memory = axis_of([0.0, 0.0])
     for place in range(1, 4):
         hold = open_hold(settings, axis, memory, 1e-4 * place, 0.0)
     assert hold.velocity == pytest.approx(0.1)
-    axis.missed, axis.lasted = missed, lasted
+    axis.missed, axis.hold_length = missed, hold_length
     hold = open_hold(settings, axis, memory, 7e-4, 0.0)
-    holds = missed + lasted
+    holds = missed + hold_length
     assert (hold.elapsed, hold.velocity) == pytest.approx((holds * T, 4e-4 / (holds * T)))
-    assert (axis.window.length, axis.window.anchor, axis.lasted) == (0, 7e-4, 1.0)
+    assert (axis.window.length, axis.window.anchor, axis.hold_length) == (0, 7e-4, 1.0)
 
 
 def test_a_leak_is_paid_from_the_surplus_as_far_as_there_is_one() -> None:

@@ -13,7 +13,6 @@ from canhaptic.control.certificates.certified_torque import (
     acted,
     bound_memory,
     displacement_by_hand,
-    doubt_of_late,
     end_gap,
     end_hold,
     keep,
@@ -22,6 +21,7 @@ from canhaptic.control.certificates.certified_torque import (
     reaches_turn,
     shorten,
     take_late,
+    uncertainty_of_late,
 )
 from canhaptic.control.certificates.scalar_bounds import (
     NO_RESPONSE,
@@ -244,7 +244,7 @@ def test_a_late_torque_leaves_in_doubt_what_it_differs_by_over_how_far_it_is_car
         change, count = torque - bound.torque, known.encoder_count
         rest = max(bound.highest - bound.torque, bound.torque - bound.lowest)
         differs, before = abs(change) + rest, replace(bound)
-        found = doubt_of_late(known, bound, moved, torque)
+        found = uncertainty_of_late(known, bound, moved, torque)
         share, b = known.late_share, known.damping
         for_all = differs * 2.0 * share * (max(abs(moved), abs(before.displacement)) + count)
         if b:
@@ -277,21 +277,21 @@ def test_a_late_torque_leaves_in_doubt_what_it_differs_by_over_how_far_it_is_car
     assert len(ways) == 8
 
 
-@pytest.mark.parametrize("lasted", [1.5, 4.0])
-def test_a_longer_hold_counts_by_its_last_sample_time_give_or_take_what_forces_gain(lasted: float) -> None:
+@pytest.mark.parametrize("hold_length", [1.5, 4.0])
+def test_a_longer_hold_counts_by_its_last_sample_time_give_or_take_what_forces_gain(hold_length: float) -> None:
     for seed in range(60):
         draw = random.Random(seed)
         known, bound = declared_of(draw), bound_of(draw)
         r, before = known.response, replace(bound)
-        shorten(known, bound, lasted)
+        shorten(known, bound, hold_length)
         torque = max(abs(before.torque), *((before.most, -before.least) if known.late else (0.0,)))
         step = (r.before + r.during) * torque + (r.push if r.push < math.inf else r.hand)
-        excursion = abs(before.displacement) + known.encoder_count + lasted**2 * step
-        assert close(bound.displacement, before.displacement / lasted)
-        assert close(bound.position_uncertainty, 0.5 * (lasted - 1.0) * step + (r.growth - r.retained) * excursion)
+        excursion = abs(before.displacement) + known.encoder_count + hold_length**2 * step
+        assert close(bound.displacement, before.displacement / hold_length)
+        assert close(bound.position_uncertainty, 0.5 * (hold_length - 1.0) * step + (r.growth - r.retained) * excursion)
         assert bound.kept == 0
         path = max(0.0, abs(before.displacement) - known.encoder_count)
-        taken = known.damping / known.sample_time * path**2 * (1.0 - 1.0 / lasted)  # (D/n)^2 n in place of D^2
+        taken = known.damping / known.sample_time * path**2 * (1.0 - 1.0 / hold_length)  # (D/n)^2 n in place of D^2
         assert close(bound.dissipated, before.dissipated - taken)
         assert close(bound.certain, before.certain - taken)
 
@@ -331,23 +331,23 @@ def test_lost_samples_leave_in_doubt_the_difference_of_torques_over_the_farthest
             for_all = uncertain * apart * ((abs(moved) + count) / holds + apart / (4.0 * b))
         if known.friction:
             earned += known.friction * max(0.0, abs(moved) - count) - 0.5 * count * abs(before.slope + before.torque)
-        doubt = for_all
+        uncertainty = for_all
         if known.by_hand_force:
             step = (r.before + r.during) * largest + (r.push if r.push < math.inf else r.hand)
             begin, grown = abs(before.displacement) + before.position_uncertainty + count, r.growth**holds
             excursion = abs(moved) + count + grown * holds * (begin + holds * step)
-            doubt = uncertain * apart * excursion
+            uncertainty = uncertain * apart * excursion
             position_uncertainty = (
                 0.5 * (holds - 1) * step + (1.0 - r.retained) * holds * excursion + (grown - 1.0) * excursion
             )
             assert close(bound.position_uncertainty, position_uncertainty), seed
         elif known.hand_speed:
-            doubt = uncertain * apart * known.hand_speed * known.sample_time
+            uncertainty = uncertain * apart * known.hand_speed * known.sample_time
         ways.add((known.by_hand_force, bool(known.hand_speed), bool(b), bool(known.losses), known.late > 0.0))
-        assert close(found, doubt), seed
-        assert close(bound.resolution, 2.0 * doubt), seed
+        assert close(found, uncertainty), seed
+        assert close(bound.resolution, 2.0 * uncertainty), seed
         assert close(bound.dissipated, before.dissipated + earned), seed
-        assert close(bound.certain, before.certain + earned + (doubt - for_all if b else 0.0)), seed
+        assert close(bound.certain, before.certain + earned + (uncertainty - for_all if b else 0.0)), seed
         assert close(bound.changes, before.changes + holds * count * largest), seed
         assert close(bound.uncertainty, before.changes + holds * count * largest + 0.5 * count * abs(torque)), seed
         assert (bound.displacement, bound.torque) == (moved / holds, torque)

@@ -136,7 +136,7 @@ class AdmittanceController(ABC, Generic[_Axis]):
     @property
     def energy_resolution(self) -> float:
         """Width of the range that contains the energy received on all axes [J]; the account books its lower end."""
-        return 2.0 * sum(axis.port.doubt for axis in self._each)
+        return 2.0 * sum(axis.port.uncertainty for axis in self._each)
 
     def sample_lost(self) -> GroupBalance:
         """Return the balance of a SYNC without the sample of an axis; see `GroupController`."""
@@ -153,7 +153,7 @@ class AdmittanceController(ABC, Generic[_Axis]):
     def _miss(self) -> None:
         """Update the state for a hold that ended without a sample, and send the next commands."""
 
-    def lasted(self, periods: float) -> None:
+    def skipped(self, periods: float) -> None:
         """Treat skipped SYNCs as lost samples, during which the last commands continued to act."""
         skipped, own = (round(periods) - 1) * self._started, self._own()
         for axis in self._each:
@@ -228,7 +228,7 @@ class OneDisplay:
 
     def __init__(self, controller: Any) -> None:
         self.of = controller
-        self.reset, self.lasted, self.fade = controller.reset, controller.lasted, controller.fade
+        self.reset, self.skipped, self.fade = controller.reset, controller.skipped, controller.fade
         for name in ("max_consecutive_losses", "energy_allowance"):
             if hasattr(controller, name):
                 setattr(self, name, getattr(controller, name))

@@ -148,19 +148,19 @@ class DeclaredHand:
         way = heard.command * time - self.lag * (end - begin)
         bend, rise = abs(lead) / self.lag, abs(heard.change)
         if port.is_mean:
-            mean, doubt = heard.force, port.force_slew * bend * time * time * time / 12.0
+            mean, uncertainty = heard.force, port.force_slew * bend * time * time * time / 12.0
         else:
-            mean, doubt = heard.force - 0.5 * heard.change, rise * bend * time * time / 12.0
+            mean, uncertainty = heard.force - 0.5 * heard.change, rise * bend * time * time / 12.0
             room = port.force_slew * port.force_slew * time * time - rise * rise
             if room > 0.0:
                 off_line = min(room / (4.0 * port.force_slew), port.force_bend * time * time * time / 12.0)
-                doubt += max(abs(begin), abs(end)) * off_line
+                uncertainty += max(abs(begin), abs(end)) * off_line
         added = max(0.0, abs(heard.moved - way) - port.encoder_count)
         top = max(abs(begin), abs(end))
         friction = self.friction + 0.25 * self.given.drive_damping * top
-        doubt += port.force_error * abs(way) + friction * top * time
-        doubt += self.uncertainty * self.uncertainty / (2.0 * loop.gain_least) * self._square(lead)
-        return mean * way + 0.5 * loop.gain_least * added * added / time - doubt
+        uncertainty += port.force_error * abs(way) + friction * top * time
+        uncertainty += self.uncertainty * self.uncertainty / (2.0 * loop.gain_least) * self._square(lead)
+        return mean * way + 0.5 * loop.gain_least * added * added / time - uncertainty
 
     def _forces(self, heard: HeardForce, sign: float, error: float) -> tuple[float, float]:
         """Return the least hand force in a direction: F without, and F + N a with the hand's mass [N or N*m].

@@ -121,8 +121,8 @@ class MomentumCheck:
         half, velocity = memory.filling, hold.moved / time
         memory.holds += 1
         rise = (memory.holds - 0.5) / self._holds
-        mean, doubt = self._mean_force(force, memory.force)
-        loose = doubt + self._loop.gain * hold.uncertainty + self._damping * abs(velocity)
+        mean, uncertainty = self._mean_force(force, memory.force)
+        loose = uncertainty + self._loop.gain * hold.uncertainty + self._damping * abs(velocity)
         slip, lead = velocity - hold.command, 0.5 * (memory.lead + hold.lead)
         for place, value in enumerate((mean, slip, lead, loose)):
             half.sums[place] += value
@@ -139,14 +139,14 @@ class MomentumCheck:
 
     def _mean_force(self, force: float, before: float) -> tuple[float, float]:
         """Return the mean force of a hold, and its uncertainty without the error of a sample [N or N*m]."""
-        port, change, doubt = self._port, force - before, 0.0
+        port, change, uncertainty = self._port, force - before, 0.0
         if not port.is_mean:
             length = port.sample_time * (1.0 + port.jitter)
-            doubt = max(0.0, port.force_slew * port.force_slew * length * length - change * change) / (
+            uncertainty = max(0.0, port.force_slew * port.force_slew * length * length - change * change) / (
                 4.0 * port.force_slew * length
             )
             force = 0.5 * (force + before)
-        return force + change * port.lag / port.sample_time, doubt
+        return force + change * port.lag / port.sample_time, uncertainty
 
     def _compared(self, first: _Half, second: _Half) -> Disagreement | None:
         """Compare measured and expected mean force over the triangular weight; return a disagreement, or None."""

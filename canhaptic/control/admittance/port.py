@@ -101,7 +101,7 @@ class Port:
     force: float = 0.0  # force there [N or N*m]
     waiting: int = 0  # samples since
     mean: float = 0.0  # force with which the hold before was booked [N or N*m]
-    doubt: float = 0.0  # sum of the uncertain energies [J]
+    uncertainty: float = 0.0  # sum of the uncertain energies [J]
 
     def begin(self, position: float, force: float) -> None:
         """Start the account at the first position [m or rad] and force [N or N*m]."""
@@ -152,25 +152,25 @@ class Port:
         if not settings.is_mean:
             mean, rise, square = 0.5 * (force + self.force), abs(change), length * length
             room = slew * slew * square - rise * rise
-            doubt = rise * acceleration * square / 12.0
+            uncertainty = rise * acceleration * square / 12.0
             if room > 0.0:  # between two samples the force leaves their line by the slew, or by what bends it
-                doubt += fastest * min(room / (4.0 * slew), settings.force_bend * length * square / 12.0)
+                uncertainty += fastest * min(room / (4.0 * slew), settings.force_bend * length * square / 12.0)
         elif samples == 1 or settings.is_impulse:
             mean = force
-            doubt = slew * acceleration * length * length * length / 12.0
+            uncertainty = slew * acceleration * length * length * length / 12.0
         else:  # of the holds before the last no mean came
             mean = force
-            doubt = slew * length * (way + 0.25 * acceleration * length * length)
+            uncertainty = slew * length * (way + 0.25 * acceleration * length * length)
         if settings.lag > 0.0:
             mean += change * settings.lag / length
-            doubt += 0.25 * slew * acceleration * length * length * settings.lag
-            doubt += abs(change) * settings.lag * (1.0 / shortest - 1.0 / length) * way
+            uncertainty += 0.25 * slew * acceleration * length * length * settings.lag
+            uncertainty += abs(change) * settings.lag * (1.0 / shortest - 1.0 / length) * way
             error += 2.0 * error * settings.lag / shortest
         if settings.is_impulse:  # it was divided by the sample time
-            doubt += abs(mean) * way * settings.jitter / (1.0 - settings.jitter)
-        doubt += error * (way + count)
-        doubt += 0.5 * count * (abs(mean - self.mean) + abs(mean) - abs(self.mean))
+            uncertainty += abs(mean) * way * settings.jitter / (1.0 - settings.jitter)
+        uncertainty += error * (way + count)
+        uncertainty += 0.5 * count * (abs(mean - self.mean) + abs(mean) - abs(self.mean))
         self.mean = mean
-        self.doubt += doubt
+        self.uncertainty += uncertainty
         energy = mean * moved
-        return energy - doubt, fastest, energy + doubt
+        return energy - uncertainty, fastest, energy + uncertainty

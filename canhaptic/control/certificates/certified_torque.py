@@ -153,14 +153,19 @@ def acted(declared: Declared, bound: TorqueBound, sign: float) -> float:
 
 
 def end_hold(
-    declared: Declared, bound: TorqueBound, memory: BoundMemory, displacement: float, torque: float, lasted: float = 1.0
+    declared: Declared,
+    bound: TorqueBound,
+    memory: BoundMemory,
+    displacement: float,
+    torque: float,
+    hold_length: float = 1.0,
 ) -> float:
     """Update the torque bound with a hold's displacement [m or rad], torque [N or N*m] and length [sample times].
 
     Returns:
         Largest amount by which the booked energy may exceed the received energy, because the torque acted late [J].
     """
-    count, late, doubt = declared.encoder_count, declared.late, 0.0
+    count, late, uncertainty = declared.encoder_count, declared.late, 0.0
     if declared.damping:
         certain = abs(displacement) - count
         if certain > 0.0:
@@ -168,7 +173,7 @@ def end_hold(
     if declared.friction and not count:
         dissipate(bound, declared.friction * abs(displacement))
     if late:
-        doubt = doubt_of_late(declared, bound, displacement, torque, lasted)
+        uncertainty = uncertainty_of_late(declared, bound, displacement, torque, hold_length)
         take_late(declared, bound, torque)
     if count:
         pass_within_count(bound, count, declared.friction, displacement, torque)
@@ -186,7 +191,7 @@ def end_hold(
         bound.upward = bound.downward = nan
     bound.position_uncertainty = 0.0
     bound.displacement, bound.torque = displacement, torque
-    return doubt
+    return uncertainty
 
 
 def dissipate(bound: TorqueBound, energy: float) -> None:
@@ -226,7 +231,7 @@ def pass_within_count(bound: TorqueBound, count: float, friction: float, displac
     bound.slope, bound.uncertainty = slope, bound.changes + half * abs(slope)
 
 
-def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
+def shorten(declared: Declared, bound: TorqueBound, hold_length: float) -> None:
     """Scale the stored displacement of a hold longer than T to one sample time, to bound the next displacements.
 
     The axis is assumed to move at the mean speed of the whole hold; the possible difference is kept as an uncertainty.
@@ -234,22 +239,22 @@ def shorten(declared: Declared, bound: TorqueBound, lasted: float) -> None:
     Args:
         declared: Declared properties of axis and hand.
         bound: State of the axis's torque bound, after `end_hold`.
-        lasted: Length of the hold, > 1 [sample times].
+        hold_length: Length of the hold, > 1 [sample times].
     """
     response, torque = declared.response, abs(bound.torque)
     if declared.late > 0.0:
         torque = max(torque, bound.most, -bound.least)
     hand = response.push if response.push < inf else response.hand
     step = (response.before + response.during) * torque + hand
-    excursion = abs(bound.displacement) + declared.encoder_count + lasted * lasted * step
-    bound.displacement /= lasted
-    bound.position_uncertainty = 0.5 * (lasted - 1.0) * step
+    excursion = abs(bound.displacement) + declared.encoder_count + hold_length * hold_length * step
+    bound.displacement /= hold_length
+    bound.position_uncertainty = 0.5 * (hold_length - 1.0) * step
     bound.position_uncertainty += (1.0 - response.retained + (response.growth - 1.0)) * excursion
     bound.kept = 0
     if declared.damping > 0.0:  # the mean speed is known, and its square is no more than the mean of the squares
-        certain = abs(bound.displacement) * lasted - declared.encoder_count
+        certain = abs(bound.displacement) * hold_length - declared.encoder_count
         if certain > 0.0:
-            dissipate(bound, -declared.damping / declared.sample_time * certain * certain * (1.0 - 1.0 / lasted))
+            dissipate(bound, -declared.damping / declared.sample_time * certain * certain * (1.0 - 1.0 / hold_length))
 
 
 def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
@@ -265,8 +270,8 @@ def take_late(declared: Declared, bound: TorqueBound, torque: float) -> None:
         bound.lowest -= left * below
 
 
-def doubt_of_late(
-    declared: Declared, bound: TorqueBound, displacement: float, torque: float, lasted: float = 1.0
+def uncertainty_of_late(
+    declared: Declared, bound: TorqueBound, displacement: float, torque: float, hold_length: float = 1.0
 ) -> float:
     """Return by how much the booked energy may exceed the received energy in a hold whose torque acted late [J].
 
@@ -281,7 +286,7 @@ def doubt_of_late(
         bound: State of the axis's torque bound before the hold; `resolution` and `dissipated` change.
         displacement: Displacement in the hold [m or rad].
         torque: Torque held in it [N or N*m].
-        lasted: Length of the hold [sample times].
+        hold_length: Length of the hold [sample times].
     """
     change = torque - bound.torque
     rest = max(bound.highest - bound.torque, bound.torque - bound.lowest)
@@ -296,9 +301,9 @@ def doubt_of_late(
         damped = differs * path + differs * differs * declared.late / (4.0 * declared.damping)
     if declared.by_hand_force:
         sign = -1.0 if bound.out < 0.0 else 1.0
-        up, down = reach_by_older_torques(declared, bound, sign, displacement, torque, lasted)
+        up, down = reach_by_older_torques(declared, bound, sign, displacement, torque, hold_length)
         further = rest * max(up, down)
-        if lasted == 1.0:
+        if hold_length == 1.0:
             up, down = between_ends(declared, bound, sign, displacement, torque, (up, down))
         change *= sign
         less, more = (change * down, change * up) if change > 0.0 else (-change * up, -change * down)
@@ -315,7 +320,7 @@ def doubt_of_late(
 
 
 def reach_by_older_torques(
-    declared: Declared, bound: TorqueBound, sign: float, displacement: float, torque: float, lasted: float
+    declared: Declared, bound: TorqueBound, sign: float, displacement: float, torque: float, hold_length: float
 ) -> tuple[float, float]:
     """Return how far the axis can have moved under older torques in a hold, along `sign` and against it [m or rad].
 
@@ -329,7 +334,7 @@ def reach_by_older_torques(
         sign: Direction in which the hand's force is bounded, 1 or -1.
         displacement: Displacement in the hold [m or rad].
         torque: Torque held in it [N or N*m].
-        lasted: Length of the hold [sample times].
+        hold_length: Length of the hold [sample times].
     """
     response, count, hand = declared.response, declared.encoder_count, displacement_by_hand(declared, bound, sign)
     if hand == inf:  # no run begins so
@@ -338,10 +343,10 @@ def reach_by_older_torques(
     start = sign * bound.displacement + count + bound.position_uncertainty
     up = tail_reach(start, acted(declared, bound, sign), acting, response, hand)
     back = count - sign * displacement
-    down = lasted * (response.tail_before * acting + response.tail_hand * hand)
+    down = hold_length * (response.tail_before * acting + response.tail_hand * hand)
     if back > 0.0:
         down += response.share * back
-    swing = response.swing if lasted == 1.0 else 1.0 + 2.0 * lasted * (response.swing - 1.0)
+    swing = response.swing if hold_length == 1.0 else 1.0 + 2.0 * hold_length * (response.swing - 1.0)
     return up, swing * down
 
 
@@ -405,18 +410,18 @@ def end_gap(
         certain = abs(displacement) - count if abs(displacement) > count else 0.0
         dissipate(bound, declared.friction * certain - 0.5 * count * abs(bound.slope + bound.torque))
     if declared.by_hand_force:
-        doubt = missed * apart * excursion_unseen(declared, bound, displacement, holds, largest)
+        uncertainty = missed * apart * excursion_unseen(declared, bound, displacement, holds, largest)
     elif declared.hand_speed > 0.0:
-        doubt = missed * apart * declared.hand_speed * declared.sample_time
+        uncertainty = missed * apart * declared.hand_speed * declared.sample_time
     else:
-        doubt = damped
+        uncertainty = damped
     if declared.damping > 0.0:  # a promise to every hand rests on no hand
-        bound.certain += doubt - damped
-    bound.resolution += 2.0 * doubt
+        bound.certain += uncertainty - damped
+    bound.resolution += 2.0 * uncertainty
     bound.changes += holds * count * largest
     bound.slope, bound.uncertainty = -torque, bound.changes + 0.5 * count * abs(torque)
     bound.displacement, bound.torque = displacement / holds, torque
-    return doubt
+    return uncertainty
 
 
 def spread_of_gap(bound: TorqueBound, torque: float, apart: float) -> float:

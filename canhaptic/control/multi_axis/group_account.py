@@ -73,7 +73,7 @@ def farthest(gap: Gap, sign: float, hold: int, along: bool) -> float:
     return total / series
 
 
-def doubt_of(gap: Gap, hold: int, torque: float, last: float) -> float:
+def uncertainty_of(gap: Gap, hold: int, torque: float, last: float) -> float:
     """Return the most by which the energy booked for one hold is too high, if a given torque acted in it [J].
 
     Args:
@@ -279,7 +279,9 @@ def older_size(axes: AxisLimits, memory: AccountMemory, torques: Buffer) -> floa
     return sqrt(older / size) if size > 0.0 else 0.0
 
 
-def doubt_of_late_group(axes: AxisLimits, memory: AccountMemory, moved: Buffer, held: Buffer) -> tuple[float, float]:
+def uncertainty_of_late_group(
+    axes: AxisLimits, memory: AccountMemory, moved: Buffer, held: Buffer
+) -> tuple[float, float]:
     """Return by how much less energy than booked may have been received in a hold, because torques came late [J].
 
     Args:
@@ -314,13 +316,13 @@ def doubt_of_late_group(axes: AxisLimits, memory: AccountMemory, moved: Buffer, 
     return (total if axes.by_hand or axes.path > 0.0 else damped), damped
 
 
-def doubt_of_late_gap(
+def uncertainty_of_late_gap(
     axes: AxisLimits, memory: AccountMemory, ended: GroupHolds, missed: int, axis: int, excursion: float
 ) -> float:
     """Return the most by which late torques make one axis's booked energy over several holds too high or too low [J].
 
-    It is added to the result of `doubt_of_axis`, and grows with the largest difference of two torques that may have
-    acted. `memory.before` is set to the range of torques at the SYNC at which the last hold began.
+    It is added to the result of `uncertainty_of_axis`, and grows with the largest difference of two torques that may
+    have acted. `memory.before` is set to the range of torques at the SYNC at which the last hold began.
 
     Args:
         axes: Properties of the motor axes.
@@ -394,12 +396,12 @@ def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: Acc
         Largest shortfall of the energy received against the booked energy, because torques came late [J].
     """
     axes = settings.axes
-    doubt = 0.0
-    if axes.timing.is_uneven:
-        doubt, damped = doubt_of_late_group(axes, memory, ended.displacement, ended.applied)
-        if axes.by_damping:  # a promise to every hand rests on no hand
-            account.dissipated += doubt - damped
     uncertainty = 0.0
+    if axes.timing.is_uneven:
+        uncertainty, damped = uncertainty_of_late_group(axes, memory, ended.displacement, ended.applied)
+        if axes.by_damping:  # a promise to every hand rests on no hand
+            account.dissipated += uncertainty - damped
+    counted = 0.0
     for i in range(len(ended.applied)):
         torque, count = ended.applied[i], axes.counts[i]
         if axes.by_damping or axes.coarse:
@@ -407,10 +409,10 @@ def end_group_hold(settings: AccountSettings, account: GroupAccount, memory: Acc
             if certain > 0.0:
                 account.dissipated += axes.damping[i] * certain * certain
             account.changes += 0.5 * count * abs(torque - memory.torques[i])
-            uncertainty += 0.5 * count * abs(torque)
+            counted += 0.5 * count * abs(torque)
         memory.displacement[i], memory.torques[i], memory.position_uncertainty[i] = ended.displacement[i], torque, 0.0
-    account.uncertainty = account.changes + uncertainty
-    return doubt
+    account.uncertainty = account.changes + counted
+    return uncertainty
 
 
 def end_group_gap(
@@ -431,7 +433,7 @@ def end_group_gap(
         largest = largest_of(memory, ended, missed, i)
         push += (axes.before[i] + axes.during[i]) * largest * largest
     push = sqrt(push) + axes.hand
-    doubt = uncertainty = further = 0.0
+    uncertainty = counted = further = 0.0
     for i in range(len(ended.applied)):
         moved, count, last = ended.displacement[i], axes.counts[i], ended.applied[i]
         largest = largest_of(memory, ended, missed, i)
@@ -440,10 +442,10 @@ def end_group_gap(
         excursion = abs(moved) + count + holds * ((abs(start) + position_uncertainty) * growth + holds * step)
         uneven = (growth - 1.0) * excursion
         gap = Gap(holds, moved, start, count + holds * uneven, position_uncertainty + uneven, step, axes.lost[i])
-        doubt += doubt_of_axis(axes, memory, ended, gap, missed, i)
+        uncertainty += uncertainty_of_axis(axes, memory, ended, gap, missed, i)
         if axes.timing.is_uneven:
-            late = doubt_of_late_gap(axes, memory, ended, missed, i, excursion + step)
-            doubt, further = doubt + late, further + late
+            late = uncertainty_of_late_gap(axes, memory, ended, missed, i, excursion + step)
+            uncertainty, further = uncertainty + late, further + late
         memory.position_uncertainty[i] = (
             0.5 * missed * step + axes.lost[i] * holds * excursion + uneven if axes.by_hand else 0.0
         )
@@ -451,11 +453,11 @@ def end_group_gap(
         certain = abs(moved) - count
         if certain > 0.0:
             account.dissipated += axes.damping[i] * certain * certain / holds
-        uncertainty += 0.5 * count * abs(last)
+        counted += 0.5 * count * abs(last)
     for i in range(len(ended.applied)):
         memory.displacement[i], memory.torques[i] = ended.displacement[i] / holds, ended.applied[i]
-    account.uncertainty = account.changes + uncertainty
-    return doubt, further
+    account.uncertainty = account.changes + counted
+    return uncertainty, further
 
 
 def largest_of(memory: AccountMemory, ended: GroupHolds, missed: int, axis: int) -> float:
@@ -467,7 +469,7 @@ def largest_of(memory: AccountMemory, ended: GroupHolds, missed: int, axis: int)
     return most
 
 
-def doubt_of_axis(
+def uncertainty_of_axis(
     axes: AxisLimits, memory: AccountMemory, ended: GroupHolds, gap: Gap, missed: int, axis: int
 ) -> float:
     """Return by how much less energy than booked one axis may have received over several holds [J].
@@ -482,7 +484,7 @@ def doubt_of_axis(
             torque = memory.torques[axis] if place < 0 else ended.lost[place][axis]
             more = torque - last
             if axes.by_hand:
-                most = max(most, doubt_of(gap, hold, torque, last))
+                most = max(most, uncertainty_of(gap, hold, torque, last))
             elif axes.path > 0.0:
                 most = max(most, abs(more))
             else:
@@ -496,7 +498,7 @@ def doubt_of_axis(
     return total * axes.path if axes.path > 0.0 and not axes.by_hand else total
 
 
-def doubt_of_mover(memory: AccountMemory, ended: GroupHolds, hold: int) -> float:
+def uncertainty_of_mover(memory: AccountMemory, ended: GroupHolds, hold: int) -> float:
     """Return by how much less energy than booked the mover may have supplied in one hold whose sample was lost [J].
 
     Args:

@@ -488,7 +488,7 @@ def torque_held(ended: GroupHolds, hold: int, missed: int, axis: int) -> float:
     return ended.lost[min(hold, len(ended.lost) - 1)][axis]
 
 
-def doubt_of_gap(ended: GroupHolds, previous: Buffer, missed: int) -> float:
+def uncertainty_of_gap(ended: GroupHolds, previous: Buffer, missed: int) -> float:
     """Return the largest error of the energy over lost holds, of which only the total displacement is known [J].
 
     Args:
@@ -646,7 +646,7 @@ class SteppedGroup:
         self._last = group_at_rest(self.axes)
         self._started = False
 
-    def lasted(self, periods: float) -> None:
+    def skipped(self, periods: float) -> None:
         """Treat skipped SYNCs as lost samples: only the total displacement of all holds is known.
 
         Args:

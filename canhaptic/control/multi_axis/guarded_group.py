@@ -20,11 +20,11 @@ from canhaptic.control.multi_axis.group_account import (
     Accounting,
     QueuedTorques,
     certain_energy,
-    doubt_of_mover,
     end_group_gap,
     end_group_hold,
     fade,
     quotient,
+    uncertainty_of_mover,
 )
 from canhaptic.control.multi_axis.group_certificates import inward_first, taken_by_mover
 from canhaptic.control.multi_axis.group_kernel import (
@@ -259,13 +259,13 @@ def end(world: group_kernel.GroupModel, run: GuardedRun, missed: int) -> tuple[f
     """
     settings, state, memory = run
     ended, account, limits = memory.group.ended, memory.account, settings.account.apart
-    supplied = doubt = moved = 0.0
+    supplied = uncertainty = moved = 0.0
     if settings.loop.motion.moves:
         for hold in range(missed + 1):
             write_passed(world, run, hold, missed + 1)
             supplied += taken_by_mover(ended.applied, account.passing)
             if hold < missed:
-                moved += doubt_of_mover(account, ended, hold)
+                moved += uncertainty_of_mover(account, ended, hold)
         for hold in range(limits.holds):
             later, into = hold + missed + 1, account.mover_motion[hold]
             if later < limits.holds:
@@ -274,11 +274,11 @@ def end(world: group_kernel.GroupModel, run: GuardedRun, missed: int) -> tuple[f
             else:
                 write_carried(world, settings.loop.motion, state.group.motion, memory.group.motion, hold, into)
     if missed == 0:
-        doubt = end_group_hold(settings.account, state.account, account, ended)
-        return 0.0 - supplied, doubt, doubt
-    doubt, further = end_group_gap(settings.account, state.account, account, ended, missed)
-    doubt += moved
-    return 0.0 - supplied, doubt if doubt > 0.0 else 0.0, further + 2.0 * moved
+        uncertainty = end_group_hold(settings.account, state.account, account, ended)
+        return 0.0 - supplied, uncertainty, uncertainty
+    uncertainty, further = end_group_gap(settings.account, state.account, account, ended, missed)
+    uncertainty += moved
+    return 0.0 - supplied, uncertainty if uncertainty > 0.0 else 0.0, further + 2.0 * moved
 
 
 def write_passed(world: group_kernel.GroupModel, run: GuardedRun, hold: int, holds: int) -> None:

@@ -13,12 +13,12 @@ from canhaptic.control.multi_axis.group_kernel import (
     GroupHold,
     MotionAhead,
     begin_group,
-    doubt_of_gap,
     end_holds,
     follow,
     next_place,
     norm,
     send_nothing,
+    uncertainty_of_gap,
     write_efforts,
 )
 from canhaptic.control.passivity import LoopProperties
@@ -94,10 +94,10 @@ def step(
         state.h_s = motion.energy
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0, 0))
     group.oldest = end_holds(commands, ended, settings.loop.largest, group.oldest, missed, positions, torques_applied)
-    place, doubt = group.oldest, doubt_of_gap(ended, memory.previous, missed)
+    place, uncertainty = group.oldest, uncertainty_of_gap(ended, memory.previous, missed)
     follow(world, settings.loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
     supplied, lost = supplied_by_mover(run), motion.internal
-    h_i = supplied - doubt
+    h_i = supplied - uncertainty
     for i in range(len(positions)):
         h_i += ended.interactions[i]
         lost += commands.dampers[place][i] * ended.displacement[i]
@@ -112,7 +112,7 @@ def step(
         norm(commands.torques[place]), h_i, 0.0, h_i, h_r, state.h_s, state.h_dis, gen, 0.0, leak, paid, branch,
         rendered, _NONE, memory.group.motion.network.state[0], supplied,
     ))  # fmt: skip
-    return new(GroupHold, (balance, doubt, doubt, motion.limit, place))
+    return new(GroupHold, (balance, uncertainty, uncertainty, motion.limit, place))
 
 
 def supplied_by_mover(run: UnprotectedRun) -> float:

@@ -74,7 +74,7 @@ def step(environment: AskedEffort, run: AskedRun, position: float, torque_applie
     axis = state.axis
     if not axis.started:
         return start(run, position)
-    holds, torque, open_before = axis.missed + axis.lasted, environment.asked, state.bound.resolution
+    holds, torque, open_before = axis.missed + axis.hold_length, environment.asked, state.bound.resolution
     displacement, _, _, uncertainty = end(run, position, torque_applied)
     reserved = 0.5 * (state.bound.resolution - open_before)
     if settings.turns:  # the program may ask for a torque either way

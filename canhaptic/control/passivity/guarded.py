@@ -434,16 +434,16 @@ def end(run: GuardedRun, position: float, torque_applied: float) -> tuple[float,
     displacement, count, oldest = position - axis.position, declared.encoder_count, axis.oldest
     axis.position = position
     if axis.missed:
-        axis.missed += int(axis.lasted - 1.0)  # of SYNCs that were skipped in the gap no sample came either
-        axis.lasted = 1.0
+        axis.missed += int(axis.hold_length - 1.0)  # of SYNCs that were skipped in the gap no sample came either
+        axis.hold_length = 1.0
         return displacement, 0.0, 0.0, end_several(run, displacement, torque_applied)
     bound.first = oldest - declared.delay
-    uncertainty = end_hold(declared, bound, memory.bound, displacement, torque_applied, axis.lasted)
-    if axis.lasted > 1.0:
-        shorten(declared, bound, axis.lasted)
-        observe_mean(state.motion, displacement / axis.lasted)
-        restart_at_mean(settings, axis, memory.axis, displacement / axis.lasted)
-        axis.lasted = 1.0
+    uncertainty = end_hold(declared, bound, memory.bound, displacement, torque_applied, axis.hold_length)
+    if axis.hold_length > 1.0:
+        shorten(declared, bound, axis.hold_length)
+        observe_mean(state.motion, displacement / axis.hold_length)
+        restart_at_mean(settings, axis, memory.axis, displacement / axis.hold_length)
+        axis.hold_length = 1.0
     else:
         observe(settings.prediction, state.motion, displacement, torque_applied)
         if count:
@@ -795,7 +795,7 @@ def step(environment: Environment, run: GuardedRun, position: float, torque_appl
     state.zone = zone = environment.contact(position)
     if not axis.started:
         return start(run, position)
-    holds, same, open_before = axis.missed + axis.lasted, zone == zone_before, state.bound.resolution
+    holds, same, open_before = axis.missed + axis.hold_length, zone == zone_before, state.bound.resolution
     displacement, damper, modulated, uncertainty = end(run, position, torque_applied)
     reserved = 0.5 * (state.bound.resolution - open_before)
     true = environment.true_state(position, displacement, state.true if same else 0.0) if zone else 0.0

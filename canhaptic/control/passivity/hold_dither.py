@@ -146,7 +146,7 @@ class DitheredGuarded(Guarded):
     def step(self, position: float, torque_applied: float) -> EnergyBalance:
         """Book the hold that ended, and compute the next torque; see `Controller.step`."""
         axis, watch = self._axis, self._watch
-        if axis.missed or axis.lasted > 1.0:
+        if axis.missed or axis.hold_length > 1.0:
             watch.begin_anew()
         moved, applied = abs(position - axis.position), abs(torque_applied)
         balance = super().step(position, torque_applied)

@@ -163,9 +163,9 @@ class SteppedController:
         self._axis.missed += 1
         return self._last.torque
 
-    def lasted(self, periods: float) -> None:
+    def skipped(self, periods: float) -> None:
         """Lengthen the hold that ends at the next `step` to `periods` sample times, because SYNCs were skipped."""
-        self._axis.lasted += periods - 1.0
+        self._axis.hold_length += periods - 1.0
 
     def withhold(self) -> None:
         """Replace the command of the last `step` by zero torque in the queue, because a dry run does not send it."""
@@ -222,7 +222,7 @@ class Axis:
     position: float = 0.0  # [m or rad]
     moved: float = 0.0  # in the last hold [m or rad]
     missed: int = 0  # samples lost since
-    lasted: float = 1.0  # the hold that ends next [sample times]: more where SYNCs were skipped
+    hold_length: float = 1.0  # the hold that ends next [sample times]: more where SYNCs were skipped
     oldest: int = 0  # place of the command whose hold ends next
     h_dis: float = 0.0  # surplus still to be dissipated [J]
     window: VelocityWindow = field(default_factory=VelocityWindow)
@@ -298,7 +298,7 @@ def hold_memory(settings: Any, make_buffer: MakeBuffer, own: int = 0) -> HoldMem
 
 def begin(axis: Axis, memory: AxisMemory, position: float) -> None:
     """Set an axis to its first position [m or rad], with no surplus energy and no lost samples."""
-    axis.started, axis.position, axis.missed, axis.lasted, axis.h_dis = True, position, 0, 1.0, 0.0
+    axis.started, axis.position, axis.missed, axis.hold_length, axis.h_dis = True, position, 0, 1.0, 0.0
     if len(memory.samples) > 0:
         restart(axis.window, memory.samples, position)
 
@@ -314,7 +314,7 @@ def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: 
         torque_applied: Torque applied in the hold [N or N*m].
     """
     displacement, missed = position - axis.position, axis.missed
-    holds = missed + axis.lasted
+    holds = missed + axis.hold_length
     h_i, elapsed = -torque_applied * displacement, settings.sample_time * holds  # eq. 2
     if missed:
         h_i -= let_samples_pass(axis, memory.commands, displacement, torque_applied, settings.torque_limit)
@@ -326,7 +326,7 @@ def open_hold(settings: HoldSettings, axis: Axis, memory: AxisMemory, position: 
         else:
             update(axis.window, memory.samples, settings.tolerance, elapsed, position)
             velocity = axis.window.velocity
-    axis.position, axis.moved, axis.lasted = position, displacement, 1.0
+    axis.position, axis.moved, axis.hold_length = position, displacement, 1.0
     return new(Hold, (displacement, damper, h_i, modulated * displacement, elapsed, velocity, torque_applied, missed))
 
 
@@ -351,7 +351,7 @@ def let_samples_pass(
         difference = abs(clipped(commands.torques[axis.oldest], torque_limit) - torque_applied)
         differences, largest = differences + difference, max(largest, difference)
         axis.oldest = repeat(commands, axis.oldest)
-    skipped = axis.lasted - 1.0
+    skipped = axis.hold_length - 1.0
     excursion = abs(displacement) + (axis.missed + skipped) * abs(axis.moved)
     axis.missed = 0
     return (differences + skipped * largest) * excursion

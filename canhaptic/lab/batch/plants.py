@@ -270,7 +270,8 @@ def residual_of_plant(plant: EventPlant, force: float) -> float:
 
 
 CALLS: Final = (
-    stepper.run, splitting.fixed_point, residual_of_plant, certified_torque.doubt_of_late, certified_torque.end_gap,
+    stepper.run, splitting.fixed_point, residual_of_plant,
+    certified_torque.uncertainty_of_late, certified_torque.end_gap,
     certified_torque.free_of_late_torques, certified_torque.largest_of_late_torques,
     certified_torque.displacement_by_windows, certified_torque.taken_by_queue, certified_torque.torque_if_repeated,
     certified_torque.torque_below_older,

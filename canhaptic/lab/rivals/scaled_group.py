@@ -25,13 +25,13 @@ from canhaptic.control.multi_axis.group_kernel import (
     GroupHold,
     GroupModel,
     begin_group,
-    doubt_of_gap,
     end_holds,
     move,
     next_place,
     norm,
     send_nothing,
     to_motors,
+    uncertainty_of_gap,
 )
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.internal_dissipation import solve_balance
@@ -549,7 +549,7 @@ def step(
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0, 0))
     commands = memory.group.commands
     group.oldest = end_holds(commands, ended, loop.largest, group.oldest, missed, positions, torques_applied)
-    place, uncertainty = group.oldest, doubt_of_gap(ended, memory.previous, missed)
+    place, uncertainty = group.oldest, uncertainty_of_gap(ended, memory.previous, missed)
     move(world, loop.motion, motion, memory.group.motion, positions, ended.displacement, missed + 1)
     h_i = h_pas = damped = supplied = 0.0
     for i in range(len(positions)):

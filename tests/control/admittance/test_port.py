@@ -51,7 +51,7 @@ def _booked(settings: AdmittanceProperties, first: float, last: float, mean: flo
     port = Port(settings)
     port.begin(0.0, first)
     energy = port.book(way, mean if settings.is_mean else last).energy
-    return energy, port.doubt
+    return energy, port.uncertainty
 
 
 @pytest.mark.parametrize("is_mean", [False, True])
@@ -64,10 +64,10 @@ def test_no_random_hold_gives_less_than_is_booked(is_mean: bool) -> None:
     )
     settings = _settings(is_mean=is_mean)
     for true, way, mean, first, last in zip(*_energies(force, speed), force[:, 0], force[:, -1], strict=True):
-        low, doubt = _booked(settings, first, last, mean, way)
+        low, uncertainty = _booked(settings, first, last, mean, way)
         assert low <= true + 1e-15
-        assert true <= low + 2.0 * doubt + 1e-15
-        reached = max(reached, abs(true - low - doubt) / doubt)
+        assert true <= low + 2.0 * uncertainty + 1e-15
+        reached = max(reached, abs(true - low - uncertainty) / uncertainty)
     assert reached >= (0.99 if is_mean else 0.7)
 
 
@@ -76,8 +76,8 @@ def test_a_built_hold_reaches_the_bound_of_two_samples() -> None:
     force = _integrated(np.where(times < 0.5, 1.0, -1.0), np.zeros(1), _SLEW)  # up and back: no change at the ends
     speed = _integrated(np.zeros((1, _STEPS)), np.full(1, 5.0), 0.0)
     (true,), (way,), _ = _energies(force, speed)
-    low, doubt = _booked(_settings(is_mean=False), 0.0, 0.0, 0.0, way)
-    assert abs(true - low - doubt) / doubt > 0.99
+    low, uncertainty = _booked(_settings(is_mean=False), 0.0, 0.0, 0.0, way)
+    assert abs(true - low - uncertainty) / uncertainty > 0.99
 
 
 @pytest.mark.parametrize(("share", "is_certain"), [(1.0, True), (0.9, False)])
@@ -85,10 +85,10 @@ def test_a_force_that_bends_as_declared_leaves_its_line_by_no_more(share: float,
     """F = -b t (T - t) / 2 at a constant speed brings in -b v T^3 / 12, and both samples show zero."""
     bend, speed = 0.5 * _SLEW / _TIME, 0.3
     settings = _settings(is_mean=False).model_copy(update={"force_bend": share * bend, "handle_acceleration": 1e-9})
-    low, doubt = _booked(settings, 0.0, 0.0, 0.0, speed * _TIME)
+    low, uncertainty = _booked(settings, 0.0, 0.0, 0.0, speed * _TIME)
     true = -bend * speed * _TIME**3 / 12.0
-    assert doubt == pytest.approx(-share * true)
-    assert doubt < 0.2 * _booked(_settings(is_mean=False), 0.0, 0.0, 0.0, speed * _TIME)[1]
+    assert uncertainty == pytest.approx(-share * true)
+    assert uncertainty < 0.2 * _booked(_settings(is_mean=False), 0.0, 0.0, 0.0, speed * _TIME)[1]
     assert (low <= true + 1e-15) == is_certain
 
 
@@ -119,7 +119,7 @@ def test_a_late_force_is_booked_with_the_way_of_its_own_time(latency: int) -> No
     for k in range(400):
         booked += port.book(way[k], force[k - latency] if k >= latency else 0.0).energy
     steps = np.diff(np.concatenate([[0.0], way]))
-    assert booked + port.doubt == pytest.approx(float((force * steps)[: 400 - latency].sum()), abs=1e-9)
+    assert booked + port.uncertainty == pytest.approx(float((force * steps)[: 400 - latency].sum()), abs=1e-9)
 
 
 def test_lost_samples_are_booked_with_their_doubt() -> None:

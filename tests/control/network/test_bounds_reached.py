@@ -5,7 +5,13 @@ import random
 
 import pytest
 
-from canhaptic.control.multi_axis.group_account import Gap, account_memory, doubt_of, doubt_of_axis, doubt_of_mover
+from canhaptic.control.multi_axis.group_account import (
+    Gap,
+    account_memory,
+    uncertainty_of,
+    uncertainty_of_axis,
+    uncertainty_of_mover,
+)
 from canhaptic.control.multi_axis.group_certificates import axes_of, per_axis_limits
 from canhaptic.control.multi_axis.group_kernel import GroupHolds
 from canhaptic.control.passivity import LoopProperties
@@ -124,7 +130,7 @@ def test_what_lost_samples_leave_in_doubt_covers_every_motion(friction, pull, la
         holds = random_of.choice((2, 2, 3, 5))
         gap, torques, moved = gap_of(random_of, holds, pull, friction, largest)
         too_much = sum((f - torques[-1]) * d for f, d in zip(torques[1:], moved[1:], strict=True))
-        bound = sum(doubt_of(gap, hold, f, torques[-1]) for hold, f in enumerate(torques[1:-1], 1))
+        bound = sum(uncertainty_of(gap, hold, f, torques[-1]) for hold, f in enumerate(torques[1:-1], 1))
         assert too_much <= bound + 1e-15
         size = sum(abs(f - torques[-1]) for f in torques[1:-1]) * gap.step
         if bound > 0.3 * size:
@@ -146,7 +152,7 @@ def test_what_lost_samples_leave_in_doubt_for_every_hand_is_what_the_devices_dis
         gap = Gap(holds, sum(moved), 0.0, 0.0, 0.0, 0.0, 0.0)
         short = sum(m * d - damping * d * d for m, d in zip(more, moved, strict=True)) + damping * gap.moved**2 / holds
         memory, ended = held([torques[0], *torques])
-        bound = doubt_of_axis(axes_of((loop,), None, None), memory, ended, gap, holds - 1, 0)
+        bound = uncertainty_of_axis(axes_of((loop,), None, None), memory, ended, gap, holds - 1, 0)
         assert short <= bound + 1e-12
         closest = max(closest, short / bound if bound > 1e-4 else 0.0)
     assert closest > 0.9
@@ -160,7 +166,7 @@ def test_a_mover_in_holds_of_lost_samples_is_booked_at_its_worst():
         memory, ended = held(acted)
         memory.passing[0] = random_of.uniform(-0.01, 0.01)
         too_much = (acted[2] - acted[1]) * memory.passing[0]
-        doubt = doubt_of_mover(memory, ended, 0)
-        assert too_much <= doubt + 1e-12
-        closest = max(closest, too_much / doubt if doubt > 1e-3 else 0.0)
+        uncertainty = uncertainty_of_mover(memory, ended, 0)
+        assert too_much <= uncertainty + 1e-12
+        closest = max(closest, too_much / uncertainty if uncertainty > 1e-3 else 0.0)
     assert closest > 0.98

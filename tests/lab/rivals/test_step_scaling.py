@@ -238,10 +238,10 @@ def test_over_lost_holds_the_energy_is_unsure_by_the_torques_apart_times_the_far
     ended.displacement[0], ended.applied[0], memory.previous[0] = 1e-3, 3.0, -2e-3
     for place, torque in enumerate((1.0, 4.0, 6.0)):
         ended.lost[place][0] = torque
-    assert group_kernel.doubt_of_gap(ended, memory.previous, 0) == 0.0
+    assert group_kernel.uncertainty_of_gap(ended, memory.previous, 0) == 0.0
     assert memory.previous[0] == 1e-3
     ended.displacement[0] = -3e-3  # in three holds, of which two were lost
-    assert group_kernel.doubt_of_gap(ended, memory.previous, 2) == pytest.approx((2.0 + 1.0) * (3e-3 + 2 * 1e-3))
+    assert group_kernel.uncertainty_of_gap(ended, memory.previous, 2) == pytest.approx((2.0 + 1.0) * (3e-3 + 2 * 1e-3))
 
 
 def test_the_surplus_is_damped_along_the_motion():
