@@ -502,7 +502,7 @@ def _override(path: str, value: object) -> str:
 
 def _port_account(name: str, raw: "RunResult | Inspection") -> PortAccount:
     port, truth = raw["ports"][name], raw["truth"].get(name)
-    whole = cast("dict[str, Any]", raw["ports"][port["group"]] if "group" in port else port)
+    whole = cast("dict[str, Any]", raw["ports"][port.get("group", name)])
     account = {each.name: whole[each.name] for each in fields(PortAccount) if each.name in whole}
     word, by_account = whole["verdict"], whole.get("passive_at_handle", whole["passive"])
     account |= {

@@ -45,7 +45,7 @@ def covered(result: ReplayResult, scene: Scene, *, keys: bool = True, dry_run: b
         keys: Whether each key is tried, at the cost of one replay for each that leaves no trace.
         dry_run: Whether the recorded run was a dry run.
     """
-    ports = {name: port for name, port in result["account"]["ports"].items() if "group" not in port}
+    ports = {port.name: result["account"]["ports"][port.name] for port in scene.ports}
     sent = result["commands"]
     found: Covered = {
         "commands": sent,

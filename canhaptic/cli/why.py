@@ -141,7 +141,7 @@ def _twin(log: EnergyLog, scene: Scene, known: Known, folder: Path) -> Path:
     if scene.simulated:
         return Path(scene.source)
     plain = yaml.safe_load(scene.text)
-    if not isinstance(plain, dict) or len(scene.axes) != 1 or scene.groups:
+    if not isinstance(plain, dict) or len(scene.axes) != 1:
         raise InputError(f"{scene.source}: --try needs a scene with `simulation`, or with one axis alone")
     axis = scene.axes[0]
     stiffness, damping = _GRIP[known.unit]

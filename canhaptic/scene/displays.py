@@ -27,21 +27,21 @@ def display_properties(axis: AxisScene) -> AdmittanceProperties:
     given, display = axis.parameters, axis.parameters.admittance
     if display is None:
         raise ParameterError(f"{given.name}: has no `admittance`; expected an admittance display")
-    missing = ["admittance.acceleration_limit"] if display.acceleration_limit is None else []
-    missing += ["speed_limit"] if "speed_limit" not in given.model_fields_set else []
-    if missing or display.acceleration_limit is None:
-        raise ParameterError(f"{given.name}: {', '.join(missing)}: missing; every admittance display needs it, add it")
+    speed, rise = given.speed_limit if "speed_limit" in given.model_fields_set else None, display.acceleration_limit
+    if speed is None or rise is None:
+        needed = {"admittance.acceleration_limit": rise, "speed_limit": speed}
+        missing = ", ".join(key for key, value in needed.items() if value is None)
+        raise ParameterError(f"{given.name}: {missing}: missing; every admittance display needs it, add it")
     force, time = display.force, axis.loop.sample_time
     bend = {"force_bend": 2.0 * pi * force.corner * force.slew} if force.corner else {}
     counts = given.counts_per_unit
-    quantum = 1.0 / (counts * time) if display.mode == "position" else 1.0 / (display.velocity_counts or counts)
     room = {key: getattr(display, key) for key in ("position_low", "position_high")}
     return AdmittanceProperties(
         sample_time=time, jitter=axis.loop.sync_jitter or 0.0,
         delay=axis.loop.delay, sampling=force.sampling, latency=force.latency, filter=force.filter,
         force_slew=force.slew, handle_acceleration=display.handle_acceleration, force_error=force.error,
-        encoder_count=1.0 / counts, speed_quantum=quantum, speed_limit=given.speed_limit,
-        acceleration_limit=display.acceleration_limit, torque_limit=given.torque_limit, **bend,
+        encoder_count=1.0 / counts, speed_quantum=display.command_quantum(counts, time), speed_limit=speed,
+        acceleration_limit=rise, torque_limit=given.torque_limit, **bend,
         **{key: limit for key, limit in room.items() if limit is not None},
     )  # fmt: skip
 

@@ -91,9 +91,8 @@ class Remedy(NamedTuple):
 
 def can_be_tried(axis: AxisScene) -> bool:
     """Whether a contact can be computed: one impedance axis, fully read, with a wall that has an outside."""
-    if axis.group or axis.parameters.admittance is not None or not axis.is_read:
-        return False
-    return _inward(_environment(axis)) is not None
+    is_known = axis.is_read and hasattr(axis.environment.parameters, "contact")
+    return is_known and _inward(_environment(axis)) is not None
 
 
 def slowest_felt(axis: AxisScene) -> float | None:

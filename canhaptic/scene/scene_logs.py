@@ -102,14 +102,14 @@ def _run_attributes(scene: Scene, pace: _Pace) -> dict[str, Attribute]:
         attributes["buses"] = json.dumps([bus.name for bus in scene.buses])
     for axis in scene.axes:
         attributes |= _axis_attributes(axis)
-    for group in scene.groups:
+    for port in (port for port in scene.ports if port.section):
         attributes |= {
-            f"{group.name}.{GROUP_AXES}": json.dumps(group.axes),
-            f"{group.name}.environment": group.network.name,
-            f"{group.name}.kinematics": group.kinematics.name,
-            f"{group.name}.algorithm": group.passivity.name,
-            **_promise_attributes(group.name, group.passivity.parameters),
-            **({f"{group.name}.is_damped": 1} if all(scene.axis(axis).loop.brakes for axis in group.axes) else {}),
+            f"{port.name}.{GROUP_AXES}": json.dumps([axis.parameters.name for axis in port.axes]),
+            f"{port.name}.environment": port.rendered.name,
+            f"{port.name}.kinematics": port.kinematics.name,
+            f"{port.name}.algorithm": port.passivity.name,
+            **_promise_attributes(port.name, port.passivity.parameters),
+            **({f"{port.name}.is_damped": 1} if all(axis.loop.brakes for axis in port.axes) else {}),
         }
     return attributes
 

@@ -172,6 +172,8 @@ def starter_scene(
     stated, resolution = stated_value(dictionary, od.RATED_TORQUE), quirks_of(quirks).rated_torque_resolution
     rated = (stated or 0) * resolution or _GUESSED_RATED_TORQUE
     limit = _torque_limit(dictionary, rated)
+    mode, timing = found.axis.admittance, (1.0 / rate, None if simulate else jitter)
+    parts = _of_torque(found, limit, *timing) if mode is None else _of_motion(found, mode, limit, *timing)
     text = _text(
         "scene",
         title=_plain(f"{found.vendor} {found.product}".strip() or "A CiA 402 drive"),
@@ -186,12 +188,10 @@ def starter_scene(
         rated=_rated_lines(dictionary, rated if stated else None),
         limit=f"{limit:g}",
         limit_note=_text("limit_written" if is_writable(dictionary, od.MAX_TORQUE, 0) else "limit_not_written"),
-        read_back=_read_back(found)
-        if found.axis.admittance is None
-        else _display(found, found.axis.admittance, limit, has_mean=simulate),
+        read_back=parts.keys,
         watchdog="" if is_line or standard_watchdog(dictionary, found.axis_map)[0] != "none" else _text("no_watchdog"),
-        rendered=_rendered(found, limit, 1.0 / rate, None if simulate else jitter),
-        simulation=_simulation(found, rated, limit, resolution, 1.0 / rate) if simulate else "",
+        rendered=parts.rendered,
+        simulation=_simulation(found, rated, limit, resolution, 1.0 / rate, parts.machine) if simulate else "",
         **_count_values(dictionary),
     )
     aligned = _TRAILING_COMMENT.sub(lambda line: f"{line.group(1):<{_COMMENT_COLUMN - 2}}  # ", text)
@@ -232,10 +232,35 @@ def _path_for_scene(dictionary: Path, scene: Path | None) -> str:
     return os.path.relpath(dictionary.parent.resolve() / dictionary.name, scene.parent.resolve())
 
 
-def _rendered(found: Survey, limit: float, time: float, jitter: float | None) -> str:
-    """Return environment and passivity for a torque limit [N*m], a sample time [s] and its jitter (None: simulated)."""
-    if found.axis.admittance is not None:
-        return _display_rendered(found.axis.admittance, limit, time, jitter)
+class _OfMode(NamedTuple):
+    """What a scene has for the mode of its drive: by torque limit [N*m], sample time [s], jitter (None: simulated)."""
+
+    keys: str  # of the axis
+    rendered: str  # environment and passivity
+    machine: dict[str, object]  # values of the simulated machine
+
+
+def _of_torque(found: Survey, limit: float, time: float, jitter: float | None) -> _OfMode:
+    machine = {
+        "mass": 0.0125 * limit, "bearings": 0.005 * limit, "between": "", "amplitude": "0.15", "frequency": "0.5",
+        "hand": "a hand that follows a slow sine and meets the wall on the way",
+    }  # fmt: skip
+    return _OfMode(_read_back(found), _wall(limit, time, jitter), machine)
+
+
+def _of_motion(found: Survey, given: AdmittanceParameters, limit: float, time: float, jitter: float | None) -> _OfMode:
+    mass, gain = _INERTIA * limit, _gain(limit)
+    loop = {"gain": gain, "integral": 10.0 * gain if given.mode == "position" else 0.0, "noise": 5e-5 * limit}
+    grip = {"grip": 0.15 * mass, "grip_stiffness": 1e4 * mass, "grip_damping": 10.0 * mass}
+    machine: dict[str, object] = {
+        "mass": mass, "bearings": mass, "between": _text("display_machine", **loop, **grip), "amplitude": "0.1",
+        "frequency": "2.0", "hand": "a hand that moves to and fro",
+    }  # fmt: skip
+    keys = _motion_keys(found, given, limit, has_mean=jitter is None)
+    return _OfMode(keys, _virtual_mass(given, limit, time, jitter), machine)
+
+
+def _wall(limit: float, time: float, jitter: float | None) -> str:
     values = {key: _round(part * limit) for key, part in _SCALED.items()}
     loop = LoopProperties(
         sample_time=time, delay=1, moving_mass=values["inertia"], device_damping_bound=values["most_damping"],
@@ -246,9 +271,9 @@ def _rendered(found: Survey, limit: float, time: float, jitter: float | None) ->
     return _text("wall", **values, timing=timing, allowance=1e6 * energy, allowed=allowed)
 
 
-def _display_rendered(display: AdmittanceParameters, limit: float, sample_time: float, jitter: float | None) -> str:
+def _virtual_mass(given: AdmittanceParameters, limit: float, sample_time: float, jitter: float | None) -> str:
     mass, gain = _INERTIA * limit, _gain(limit)
-    is_position = display.mode == "position"
+    is_position = given.mode == "position"
     return _text(
         "display_rendered",
         certified=_text("uncertified" if is_position and jitter is not None else "certified"),
@@ -264,15 +289,15 @@ def _display_rendered(display: AdmittanceParameters, limit: float, sample_time: 
     )
 
 
-def _display(found: Survey, display: AdmittanceParameters, limit: float, *, has_mean: bool) -> str:
+def _motion_keys(found: Survey, given: AdmittanceParameters, limit: float, *, has_mean: bool) -> str:
     """Return the keys of an axis that make it an admittance display; `has_mean`: of a sensor that shows means."""
     counts, dictionary = _counts(found.dictionary), found.dictionary
     unlimited, steepest = fitness.max_torque_unwritten(dictionary, found.axis), fitness.steepest_ramp(dictionary)
-    named, is_velocity = display.force.object, display.mode == "velocity"
-    has_mean = has_mean or (display.force.place is not None and _is_mean(dictionary, *display.force.place))
+    named, is_velocity = given.force.object, given.mode == "velocity"
+    has_mean = has_mean or (given.force.place is not None and _is_mean(dictionary, *given.force.place))
     return _text(
         "display",
-        mode=display.mode,
+        mode=given.mode,
         mode_note="mode 9, 0x60FF" if is_velocity else "mode 8, 0x607A, which the drive interpolates",
         velocity_counts=_text("velocity_counts", counts=f"{counts:.10g}") if is_velocity else "",
         acceleration=min(_ACCELERATION, 0.99 * steepest / counts) if is_velocity else _ACCELERATION,
@@ -364,7 +389,9 @@ def _read_back(found: Survey) -> str:
     return _text("speed_limit") + _text(f"read_back_{read_back}") + reported
 
 
-def _simulation(found: Survey, rated: float, limit: float, resolution: float, time: float) -> str:
+def _simulation(
+    found: Survey, rated: float, limit: float, resolution: float, time: float, machine: dict[str, object]
+) -> str:
     """Return the section `simulation`; `rated` [N*m] is the motor's rated torque, in 0x6076 if the drive has it."""
     objects, drive = missing_values(found, time), _text("rated_torque", torque=f"{rated:g}")
     if od.RATED_TORQUE in found.dictionary:
@@ -373,25 +400,8 @@ def _simulation(found: Survey, rated: float, limit: float, resolution: float, ti
             objects[_key((od.RATED_TORQUE, 0))] = str(round(rated / resolution))
     if objects:
         drive += "    objects:\n" + "".join(_text("object", key=key, value=value) for key, value in objects.items())
-    own = {
-        "mass": 0.0125 * limit, "bearings": 0.005 * limit, "between": "", "amplitude": "0.15", "frequency": "0.5",
-        "hand": "a hand that follows a slow sine and meets the wall on the way",
-    }  # fmt: skip
-    if found.axis.admittance is not None:
-        mass, gain = _INERTIA * limit, _gain(limit)
-        between = _text(
-            "display_machine",
-            gain=gain,
-            integral=10.0 * gain if found.axis.admittance.mode == "position" else 0.0,
-            grip=0.15 * mass,
-            grip_stiffness=1e4 * mass,
-            grip_damping=10.0 * mass,
-            noise=5e-5 * limit,
-        )
-        own = {"mass": mass, "bearings": mass, "between": between, "amplitude": "0.1", "frequency": "2.0",
-               "hand": "a hand that moves to and fro"}  # fmt: skip
     given = f"  drive:\n{drive}" if drive else ""
-    return _text("machine", drive=given, stiffness=3.0 * limit, hand_damping=0.25 * limit, **own)
+    return _text("machine", drive=given, stiffness=3.0 * limit, hand_damping=0.25 * limit, **machine)
 
 
 # --- changed values ---------------------------------------------------------------------------------------------------

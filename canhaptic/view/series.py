@@ -7,7 +7,7 @@ therefore never waits for the reader, and a log that is replaced, by packing at 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from canhaptic.control.port_hamiltonian.shapes import Rendered, coordinates_at
 from canhaptic.control.verdict import PortResult
 from canhaptic.errors import CanHapticError, LogFormatError
 from canhaptic.logs.columns import Event
-from canhaptic.logs.energy_reader import EnergyLog
+from canhaptic.logs.energy_reader import EnergyLog, Quantities
 from canhaptic.logs.hdf5 import Array
 from canhaptic.logs.repair import require_readable
 from canhaptic.registry import load
@@ -93,11 +93,16 @@ class PortFacts(NamedTuple):
     notches: list[float]  # of detents, around the first one [m or rad]
     torque_limit: float  # [N or N*m]; infinite where none is known
     plane: "Plane | None"  # of a group whose handle moves in a plane
+    panel_of_command: Literal["torque", "velocity"]
 
-    @property
-    def is_display(self) -> bool:
-        """Whether the port is an admittance display, to which velocities are commanded."""
-        return self.units["command"] != self.units["applied"]
+
+def panel_of_command(port: Quantities) -> Literal["torque", "velocity"]:
+    """Return in which panel the commands of a port are drawn."""
+    return "torque" if port.unit("torque_command") == port.unit("torque_applied") else "velocity"
+
+
+APPLIED: Final = {"torque": "applied", "velocity": "on the hand"}
+"""Panel of the commands -> name of the torque or force that acts."""
 
 
 def port_facts(log: EnergyLog, name: str) -> PortFacts:
@@ -116,7 +121,9 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
     limit = log.number(f"{name}.torque_limit", math.inf)
     notches = notches_of(log, name, start - reach, start + reach)
     walls, plane = walls_of(log, name), None if name in log.axes else plane_of(log, name)
-    return PortFacts(name, name in log.axes, name in log.accounts, units, walls, notches, limit, plane)
+    return PortFacts(
+        name, name in log.axes, name in log.accounts, units, walls, notches, limit, plane, panel_of_command(port)
+    )
 
 
 _MOST_NOTCHES: Final = 200

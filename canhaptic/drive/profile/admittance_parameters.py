@@ -158,6 +158,12 @@ class AdmittanceParameters(Parameters):
         """Positions beyond which no command leads."""
         return tuple(end for end in (self.position_low, self.position_high) if end is not None)
 
+    def command_quantum(self, counts_per_unit: float, sample_time: float) -> float:
+        """Return the velocity of one count of the command [m/s or rad/s]."""
+        if self.mode == "position":
+            return 1.0 / (counts_per_unit * sample_time)
+        return 1.0 / (self.velocity_counts or counts_per_unit)
+
     @property
     def mode_code(self) -> int:
         """Value of 0x6060 (mode of operation) for these velocity commands."""

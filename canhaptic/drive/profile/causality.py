@@ -16,7 +16,7 @@ ADMITTANCE: Final = "an admittance display"
 
 
 class _NoForce:
-    place = node = None
+    place = node = frozen_after = None
 
 
 class Impedance:

@@ -39,8 +39,7 @@ class MotionAxis(TorqueAxis):
         super().__init__(axis, dictionary, sdo, rules, read_back, dry_run)
         self.checks_rest = given.force.sampling != "impulse"  # a sum does not show the present force
         counts, speed = axis.counts_per_unit, axis.speed_limit or _UNLIMITED_SPEED
-        of_position = 1.0 / (counts * rules.sample_time)
-        self.command_quantum = of_position if self._is_position else 1.0 / (given.velocity_counts or counts)
+        self.command_quantum = given.command_quantum(counts, rules.sample_time)
         self.stop_time = round(given.stop_time * 1e9)
         self.limiter = TorqueLimiter(speed, rules.sample_time, given.acceleration_limit)
         # A handle overshoots its command, and the hand moves it besides
