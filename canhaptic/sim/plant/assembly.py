@@ -408,6 +408,7 @@ class Mode(NamedTuple):
     key: tuple[str, ...]  # mode of each part
     flows: list[_Product]  # by level: z -> z after T / 2^level
     works: list[_Product]  # by level: z -> for each work [form times shifted z, unit row]; then the shifted z
+    forms: Array  # Q of each work over T, of the shifted z, shape (kinds, n, n)
     guards: Array  # values and rates of the guards, and the scaled rates of the state as rows, shape (2 c + m, n)
     bounds: GuardBounds
     exits: list[Exit]
@@ -436,13 +437,13 @@ def compile_mode(scene: PlantModel, key: tuple[str, ...]) -> Mode:
             guards.append(guard.row)
             exits.append(Exit(i, guard.mode, guard.resets, work))
     values = np.array(guards).reshape(len(guards), rows.size)
-    flows, works = _forms(rows, scene)
+    flows, works, forms = _forms(rows, scene)
     bounds = guard_bounds(values, rows.rates, scene.sample_time)
     guarded = np.concatenate([values, values @ rows.rates, bounds.scaled])
-    return Mode(key, flows, works, guarded, bounds, exits, rows.storage)
+    return Mode(key, flows, works, forms, guarded, bounds, exits, rows.storage)
 
 
-def _forms(rows: Rows, scene: PlantModel) -> tuple[list[_Product], list[_Product]]:
+def _forms(rows: Rows, scene: PlantModel) -> tuple[list[_Product], list[_Product], Array]:
     """Return the flows, and the works as forms of the state with the hand's deflection instead of the position.
 
     In q and x_u the squares of a stiff hand would cancel: 1e6 N/m at 10 mm is 50 J, against the 0.1 J that flow.
@@ -454,7 +455,8 @@ def _forms(rows: Rows, scene: PlantModel) -> tuple[list[_Product], list[_Product
     flows, _ = dyadic_flows(rows.rates, (), scene.sample_time)
     powers = [back.T @ power @ back for power in rows.powers]
     _, works = dyadic_flows(shift @ rows.rates @ back, powers, scene.sample_time)
-    return [flow.dot for flow in flows], [matrix.copy().dot for matrix in _stacked(np.array(works), shift)]
+    stacked = [matrix.copy().dot for matrix in _stacked(np.array(works), shift)]
+    return [flow.dot for flow in flows], stacked, works[0]
 
 
 def _stacked(forms: Array, shift: Array) -> Array:

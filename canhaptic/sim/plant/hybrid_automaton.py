@@ -75,7 +75,7 @@ class GuardHorizon:
 
 _PRODUCTS_EACH: Final = 512
 """Matrix products allowed per allowed event in one sample time: four times those of the most expensive event."""
-_ACCOUNTS: Final = ("motor", "user", "dissipated")
+ACCOUNTS: Final = ("motor", "user", "dissipated")
 
 
 class HybridAutomaton:
@@ -100,7 +100,7 @@ class HybridAutomaton:
         self.targets: list[list[int]] = self._tables.targets
         self._part_index = {part.name: i for i, part in enumerate(scene.parts)}
         booked = list(scene.works.values())
-        self._sums_of = np.array([[of == account for of in booked] for account in _ACCOUNTS], dtype=float)
+        self._sums_of = np.array([[of == account for of in booked] for account in ACCOUNTS], dtype=float)
         self._pairs = _pairs(booked)
         names = scene.names
         sines = [name for name in names if name.endswith("_sine")]
@@ -187,20 +187,28 @@ class HybridAutomaton:
         carries = np.array(self._carries) + ((before - (sums - part)) + (totals - part))
         self._sums, self._carries = sums.tolist(), carries.tolist()
         self.totals.fill(0.0)
+        state = self.state
         for sine, cosine in self._oscillators:
-            norm = math.hypot(self.state[sine], self.state[cosine])
-            self.state[sine] /= norm
-            self.state[cosine] /= norm
+            norm = math.hypot(state[sine], state[cosine])
+            state[sine] /= norm
+            state[cosine] /= norm
+        self.state = state
 
     def stored(self) -> float:
         """Return the kinetic and elastic energy [J]."""
         stored: Callable[[Array], float] = self._stored[self._counts[stepper.MODE]]
         return stored(self.state)
 
+    def value(self, place: int) -> float:
+        """Return one component of the state."""
+        return self.state.item(place)
+
     def set_states(self, values: Mapping[str, float]) -> None:
         """Set states by their names, between two steps."""
+        state = self.state
         for name, value in values.items():
-            self.state[self.scene.names.index(name)] = value
+            state[self.scene.names.index(name)] = value
+        self.state = state
 
     def set_part_mode(self, part: str, mode: str) -> None:
         """Switch one part to another mode, between two steps."""
@@ -243,6 +251,17 @@ class HybridAutomaton:
         self._periods += 1
         position: float = item(0)
         return position
+
+    def mover(self) -> Callable[[float], float]:
+        """Return the function that takes one whole sample time under a torque, as `period`."""
+        return self.period
+
+    def hold(self, ticks: int, torque: float) -> None:
+        """Move by `ticks` under a torque, ignoring guards."""
+        state = self.state
+        state[-2] = torque
+        self.state = state
+        self.run_free(ticks)
 
     def run_free(self, ticks: int) -> None:
         """Move by `ticks` ignoring guards."""
@@ -403,7 +422,7 @@ def _pairs(accounts: Sequence[str]) -> tuple[int, ...] | None:
     None if an account has more than two works: only a sum of two does not depend on the order.
     """
     zero = len(accounts)
-    places = [[place for place, a in enumerate(accounts) if a == account] for account in _ACCOUNTS]
+    places = [[place for place, a in enumerate(accounts) if a == account] for account in ACCOUNTS]
     if any(len(of) > 2 for of in places):
         return None
     return tuple(place for of in places for place in (*of, zero, zero)[:2])

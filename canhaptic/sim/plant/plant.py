@@ -2,9 +2,9 @@
 
 Between two SYNCs the torque is constant and the plant piecewise affine, so a hold is a few matrix-vector products and
 every energy a quadratic form of the state (`hybrid_automaton.py`). Forces that are not piecewise affine are held over
-substeps of this core (`splitting.py`). A hold that no guard can end costs as little as one without guards. A plant
-contains only what its parameters name. Time is an integer number of ticks of T / 2^24 since the plant's epoch, so that
-k whole sample times are exactly k steps.
+substeps of this core (`splitting.py`). A hold that no guard can end is two products; a small plant without guards is
+written out in floats (`flat.py`). A plant contains only what its parameters name. Time is an integer number of ticks of
+T / 2^24 since the plant's epoch, so that k whole sample times are exactly k steps.
 """
 
 import sys
@@ -18,6 +18,7 @@ from canhaptic.signals import PlantEnergy
 from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.assembly import LEAST_MASS, MOTOR, Body, LinearPart, PlantModel, Rows, collect
 from canhaptic.sim.plant.effects import Effect
+from canhaptic.sim.plant.flat import FlatAutomaton, can_be_flat
 from canhaptic.sim.plant.hybrid_automaton import HOLDS, AutomatonClock, HybridAutomaton
 from canhaptic.sim.plant.propagator import TICKS, Array
 from canhaptic.sim.plant.user import PLACE, UserParameters
@@ -96,8 +97,8 @@ class Plant(AutomatonClock):
         position: True position of the motor [m or rad].
         encoder_position: Position with the effects of the encoder; the value that a drive reads.
         has_ideal_encoder: Whether the encoder has no effects, so that both positions agree.
-        is_linear: Whether a hold is a single linear flow: no guards, efforts, schedule or commands.
         is_exact: Whether every effect is solved exactly between events.
+        is_linear: Whether a hold is a single linear flow: no guards, efforts, schedule or commands.
         stored_at_start: Kinetic and elastic energy at the start [J].
         state_names: Names of all states of the scene.
     """
@@ -119,7 +120,9 @@ class Plant(AutomatonClock):
         self.seed = seed
         self.scene = collect(parameters, user, effects, sample_time_ns * 1e-9)
         self.has_ideal_encoder = not self.scene.encoders
-        self._machine = HybridAutomaton(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
+        kind = FlatAutomaton if can_be_flat(self.scene) else HybridAutomaton
+        self._machine = kind(self.scene, self.accuracy.max_events, self.accuracy.event_bits)
+        self._period = self._machine.mover()
         self._splitting: Splitting | None = None
         self.is_exact = not self.scene.efforts
         self._timetable: Timetable | None = None
@@ -174,18 +177,18 @@ class Plant(AutomatonClock):
         self._free_torque = self._passing if self._is_flat else -1.0  # until then one product is the hold within it
         self._largest, self._wait = 0.0, 1
         self._next_period = -1  # [ns] end of the sample time that begins at the tick; -1 inside a sample time
-        self.position = self._machine.state.item(0)
+        self.position = self._machine.value(0)
 
     @property
     def velocity(self) -> float:
         """True velocity of the motor [m/s or rad/s]."""
-        return self._machine.state.item(1)
+        return self._machine.value(1)
 
     @property
     def motor_torque(self) -> float | None:
         """Torque of the motor after the current loop [N*m or N]; None without one: the torque is then the one held."""
         names = self.scene.names
-        return self._machine.state.item(names.index("motor_torque")) if "motor_torque" in names else None
+        return self._machine.value(names.index("motor_torque")) if "motor_torque" in names else None
 
     @property
     def encoder_position(self) -> float:
@@ -241,7 +244,7 @@ class Plant(AutomatonClock):
             self._next_period = now + self.sample_time_ns
             free = self._free_torque
             if -free <= torque <= free:
-                self.position = self._machine.period(torque)
+                self.position = self._period(torque)
             elif -_LARGEST <= torque <= _LARGEST:
                 self._hold(TICKS, torque)
             else:
@@ -308,18 +311,17 @@ class Plant(AutomatonClock):
 
     def _stored(self) -> float:
         stored = self._machine.stored()
-        return stored + self._splitting.stored(self._machine.state.item(0)) if self._splitting else stored
+        return stored + self._splitting.stored(self._machine.value(0)) if self._splitting else stored
 
     def _linear_hold(self, ticks: int, torque: float) -> None:
         if ticks == TICKS:
-            self.position = self._machine.period(torque)
+            self.position = self._period(torque)
         else:
             self._free_hold(ticks, torque)
 
     def _free_hold(self, ticks: int, torque: float) -> None:
-        self._machine.state[-2] = torque
-        self._machine.run_free(ticks)
-        self.position = self._machine.state.item(0)
+        self._machine.hold(ticks, torque)
+        self.position = self._machine.value(0)
 
     def _commanded_hold(self, ticks: int, torque: float) -> None:
         duration = ticks * self.tick_time
@@ -334,7 +336,7 @@ class Plant(AutomatonClock):
                 torque = command.apply(torque, ticks * self.tick_time)
             if self._looks_ahead:
                 if ticks == TICKS and abs(torque) <= self._free_torque:
-                    self.position = machine.period(torque)
+                    self.position = self._period(torque)
                     return
                 self._expect(ticks, torque)
             if self._timetable:
