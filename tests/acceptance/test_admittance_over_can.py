@@ -47,6 +47,7 @@ def _run(*overrides: str, cycles: int = 1500) -> tuple[RunResult, Experiment]:
         return experiment_account(experiment, "completed", 1.0), experiment
 
 
+@pytest.mark.slow_but("position")
 @pytest.mark.parametrize("mode", ["velocity", "position"])
 def test_force_comes_in_and_velocity_goes_out(mode: str) -> None:
     account, _ = _run(f"axes.0.admittance.mode={mode}")
@@ -62,6 +63,7 @@ def test_force_comes_in_and_velocity_goes_out(mode: str) -> None:
         assert modes == {9 if mode == "velocity" else 8}
 
 
+@pytest.mark.slow_but("0.039-none")
 @pytest.mark.parametrize(("jitter", "certificate"), [(0.039, "none"), (0.041, "velocity_loop")])
 def test_a_display_keeps_its_promise_where_holds_are_as_uneven_as_declared(jitter: float, certificate: str) -> None:
     """SYNCs are up to 0.04 ms of 1 ms late."""
@@ -162,6 +164,7 @@ def test_two_displays_on_a_path_have_one_account_and_every_reader_agrees(
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_a_wall_is_a_limit_of_the_position() -> None:
     _, experiment = _run(cycles=3000)
     least = min(sample.position for record in experiment.rig.records for sample in record.samples)
@@ -232,6 +235,7 @@ _OFFSET = (
 )
 
 
+@pytest.mark.slow_but("tare:?true")
 @pytest.mark.parametrize("how", ["tare: true", "tare: autozero", "tare: true, real: true, device_type: 404"])
 def test_a_transducer_is_tared_by_sdo_at_the_start(how: str) -> None:
     node = f"axes.0.admittance.force.node={{node_id: 9, {how}}}"
@@ -425,7 +429,7 @@ def test_the_json_of_a_run_names_the_port(capsys: pytest.CaptureFixture[str]) ->
     assert (port["passive"], port["verdict"]) == ("yes", "yes")  # within the allowance
 
 
-@pytest.mark.slow_for("six_axes")
+@pytest.mark.slow_but("wall")
 @pytest.mark.parametrize("name", ["wall", "two_axes", "cup_and_ball", "six_axes"])
 def test_every_shipped_display_keeps_its_promise(name: str) -> None:
     scene = load_scene(SCENE.with_name(f"{name}.yaml"))

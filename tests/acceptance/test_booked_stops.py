@@ -75,6 +75,7 @@ def test_what_a_torque_gives_after_a_fault_is_in_no_account_and_no_yes_is_measur
     assert (account["passive"], account["why"]) == ("in doubt", "the run ended in holds without a position")
 
 
+@pytest.mark.slow
 def test_a_log_says_that_a_torque_acted_when_the_run_ended(tmp_path: Path) -> None:
     log = tmp_path / "run.h5"
     with build(load_scene(DEMO, WORDS), "free", log) as experiment:
@@ -103,6 +104,7 @@ def test_lost_tpdos_take_the_torque_away_in_one_hold() -> None:
     assert energy(b) - before < 0.1  # 845 mJ along a ramp
 
 
+@pytest.mark.slow_but("30-scene0", "300-scene1")
 @pytest.mark.parametrize("scene", [DEMO, DISPLAY])
 @pytest.mark.parametrize("cycles", [30, 300])
 def test_the_account_ends_with_what_the_plant_has_given_when_all_is_still(scene: Path, cycles: int) -> None:
@@ -118,6 +120,7 @@ def test_the_account_ends_with_what_the_plant_has_given_when_all_is_still(scene:
         assert judge.believed_error[0] <= resolution + 1e-9
 
 
+@pytest.mark.slow
 def test_a_ramp_is_tried_where_the_account_holds_little_and_is_recomputed_and_replayed(tmp_path: Path) -> None:
     energy_log, bus_log = tmp_path / "run.h5", tmp_path / "run.log"
     words = ["--duration", "0.03", "--log", str(energy_log), "--bus-log", str(bus_log), "--json", *IN_CONTACT]
@@ -210,6 +213,7 @@ def test_check_says_the_most_that_a_stop_gives_out(capsys: pytest.CaptureFixture
     assert hint["limit"] == pytest.approx(0.5 * (20.0 * 2 / 40.0) ** 2 / 0.2)  # [J] of one hold and that under way
 
 
+@pytest.mark.slow_but("xy_box-2")
 @pytest.mark.parametrize(("name", "lost"), [("two_handles", 0), ("xy_box", 2), ("admittance/two_link_arm", 0)])
 def test_a_group_stops_and_its_account_ends_with_what_its_plants_gave(name: str, lost: int) -> None:
     with build(load_scene(DEMO.parent / f"{name}.yaml"), "free") as experiment:

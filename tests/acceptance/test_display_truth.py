@@ -22,15 +22,15 @@ _CYCLES = 300
 
 
 @pytest.mark.slow_but("1")
-@pytest.mark.parametrize("batch", range(8))
+@pytest.mark.parametrize("batch", range(20))
 def test_no_account_claims_what_the_plant_denies(batch: int) -> None:
     compared = 0
-    for seed in range(10 * batch, 10 * batch + 10):
+    for seed in range(4 * batch, 4 * batch + 4):
         judged = with_true_bounds(random_display(seed), _CYCLES)
         if judged is not None:
             assert not false_claims(*judged), seed
             compared += 1
-    assert compared >= 5
+    assert compared >= 2
 
 
 def test_energy_that_the_encoder_proves_leaves_the_error_of_the_encoder_open() -> None:
@@ -68,6 +68,7 @@ def test_no_account_of_an_arm_of_two_displays_claims_what_their_plants_deny() ->
     assert moved >= 3
 
 
+@pytest.mark.slow_but("five-bar-3")
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("seeds", [3, pytest.param(80, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", ["three axes", "five-bar"])
@@ -112,6 +113,7 @@ def test_a_command_that_acts_much_later_than_declared_is_found() -> None:
     raise AssertionError(f"got {denied} false claims and {noticed} errors, expected 2")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batch", [0, *(pytest.param(batch, marks=pytest.mark.slow) for batch in range(1, 12))])
 def test_no_account_of_a_spring_or_of_balls_on_several_displays_claims_what_their_plants_deny(batch: int) -> None:
     moved, kinds = 0, set[str]()

@@ -112,7 +112,7 @@ def test_its_account_claims_nothing(dry: DryRun) -> None:
                 assert found["least_interaction"] == 0.0
 
 
-@pytest.mark.slow_but("group")
+@pytest.mark.slow
 def test_it_is_recomputed_rederived_and_replayed_as_it_ran(dry: DryRun) -> None:
     ran = dry
     with EnergyLog.open(ran.log) as log:

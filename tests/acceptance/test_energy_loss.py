@@ -51,6 +51,7 @@ def ran(
     }
 
 
+@pytest.mark.slow_but("10?mJ*")
 @pytest.mark.parametrize(
     ("limit", "errors", "least"),
     [("10 mJ", ("EnergyLostError", "SyncsSkippedError"), -0.2), ("none", ("SyncsSkippedError",), -10.0)],
@@ -66,6 +67,7 @@ def test_a_host_that_is_late_for_more_syncs_than_it_sends_is_stopped(
     assert result["truth"]["handle"]["least_interaction"] > least
 
 
+@pytest.mark.slow_but("values0", "values1")
 @pytest.mark.parametrize(
     "values", [(TOO_HEAVY, *ACTIVE), (TOO_HEAVY, *ACTIVE, "bus.rpdo=event"), (stalls(0.024, 0.05), *HARD)]
 )

@@ -41,6 +41,7 @@ def false_claims(seeds: range) -> dict[int, tuple[str, ...]]:
     return {seed: of.false_claims for seed, of in is_true if of.declared and of.false_claims}
 
 
+@pytest.mark.slow
 def test_a_random_scene_with_drifting_clocks_and_lost_frames_claims_nothing_false() -> None:
     assert false_claims(range(25, 28)) == {}
 

@@ -125,7 +125,7 @@ def outside(name: str, pipe: Path, log: Path) -> None:
             group["position"] = h5py.ExternalLink(f"{pipe}", "/x") if name == "link" else h5py.SoftLink("/ports/handle")
 
 
-@pytest.mark.slow_but("virtual", "link")
+@pytest.mark.slow_but("link")
 @pytest.mark.parametrize("name", ["external storage", "virtual", "link", "loop"])
 def test_a_log_has_no_values_in_another_file(
     name: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -58,7 +58,7 @@ def test_the_true_energy_of_the_group_never_falls_below_zero_and_the_account_clo
     assert np.array_equal(true, -sum(log.truth[axis]["motor"] for axis in AXES[name]))
 
 
-@pytest.mark.slow_for("xy_box")
+@pytest.mark.slow_but("two_handles")
 def test_what_is_believed_of_each_axis_and_of_the_group_is_true_within_the_encoders_bound(whole: Whole) -> None:
     name, experiment, log = whole
     judge, bounds = experiment.cycle.judge, []
@@ -231,6 +231,7 @@ def test_the_account_on_the_terminal_and_as_json_is_that_of_the_group(capsys: py
     assert passive[4:] == ["yes", "-", "-"]
 
 
+@pytest.mark.slow_but("True-xy_box")
 @pytest.mark.parametrize("name", ["xy_box", "two_handles"])
 @pytest.mark.parametrize("loses_commands", [False, True])
 def test_a_group_whose_axes_are_heard_in_turn_is_stopped(name: str, loses_commands: bool) -> None:

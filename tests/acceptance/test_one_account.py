@@ -62,7 +62,7 @@ def run_and_log(request: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     return json.loads(capsys.readouterr().out), path
 
 
-@pytest.mark.slow_but("skipped SYNCs")
+@pytest.mark.slow
 def test_every_view_gives_the_account_of_the_run(run_and_log: tuple[dict[str, Any], Path]) -> None:
     ran, path = run_and_log
     with EnergyLog.open(path) as log:

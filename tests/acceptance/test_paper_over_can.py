@@ -77,6 +77,7 @@ def continuous_variation() -> Callable[[float, float, float, float], float]:
 DURATION = 6.0
 
 
+@pytest.mark.slow_but("synchronous-3.0-40")
 @pytest.mark.parametrize("rate", [40, 100])
 @pytest.mark.parametrize(("rpdo", "limit"), [("event", 1.5), ("synchronous", 3.0)])
 def test_the_papers_algorithm_renders_figs_4_and_5_over_can_without_ringing(
@@ -123,6 +124,7 @@ def test_figs_7_to_9_over_can_keep_eq_4_and_stick_before_the_exit(
     assert_believed_within_the_encoders_bound(found)
 
 
+@pytest.mark.slow
 def test_fig_7_one_sample_late_is_calm_only_with_capped_damping_and_then_still_loses_energy_at_the_exit(
     continuous_variation,
 ) -> None:

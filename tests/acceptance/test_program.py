@@ -100,6 +100,7 @@ def test_a_torque_that_is_not_set_in_a_turn_is_zero() -> None:
     assert sent[2:8] == [2.0, 0.0, 0.0, 2.0, 0.0, 0.0]
 
 
+@pytest.mark.slow_but("unprotected")
 @pytest.mark.parametrize("algorithm", ["guarded", "internal_dissipation", "unprotected"])
 def test_the_guard_is_there_whatever_algorithm_the_scene_names(algorithm: str) -> None:
     is_guarded = algorithm == "guarded"
@@ -174,6 +175,7 @@ def test_what_does_not_fit_a_program_is_refused_before_anything_is_opened(tmp_pa
         iter(rig)
 
 
+@pytest.mark.slow
 def test_a_dry_run_sends_no_torque_and_proves_nothing(tmp_path: Path) -> None:
     rig = touched(no_torque=True, bus_log=tmp_path / "b.log")
     assert rig.account.verdict == "dry run"
@@ -205,6 +207,7 @@ ENDINGS: dict[str, tuple[Callable[[OpenRig], Any], type[BaseException] | None, s
 }
 
 
+@pytest.mark.slow_but("NaN", "an exception", "Ctrl-C", "break")
 @pytest.mark.parametrize("what", ENDINGS)
 def test_every_way_out_sends_zero_torque_first_and_disables_second(what: str, tmp_path: Path) -> None:
     end, expected, message = ENDINGS[what]

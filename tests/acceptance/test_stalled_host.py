@@ -47,6 +47,7 @@ def test_a_torque_that_acted_for_longer_than_was_certified_was_not(capsys: pytes
     assert truth["least_interaction"] == pytest.approx(port["least_interaction"], rel=0.01)
 
 
+@pytest.mark.slow_but("0-hand_force")
 @pytest.mark.parametrize(("max_consecutive_losses", "certificate"), [(-1, "none"), (0, "hand_force")])
 def test_frames_lost_are_certified_as_far_as_they_are_declared(
     max_consecutive_losses: int, certificate: str, capsys: pytest.CaptureFixture[str]
@@ -95,6 +96,7 @@ def test_a_hold_longer_than_declared_has_no_certificate_and_one_that_is_not_has(
         assert any("sync_jitter" in event.text for event in log.events) == (certificate == "none")
 
 
+@pytest.mark.slow
 def test_a_group_with_a_hold_longer_than_declared_has_no_certificate(capsys: pytest.CaptureFixture[str]) -> None:
     scene = DEMO.with_name("two_handles.yaml")
     main(["run", str(scene), "--duration", "0.5", "--json", "--set", UNEVEN])
@@ -110,6 +112,7 @@ def test_the_table_names_the_longest_hold(capsys: pytest.CaptureFixture[str]) ->
     assert ["guarantee", "rests", "on", "no", "guarantee"] in lines
 
 
+@pytest.mark.slow_but("0x201")
 @pytest.mark.parametrize("rpdo", ["0x201", "0x202"])
 def test_of_a_group_the_axis_held_longest_counts(rpdo: str, capsys: pytest.CaptureFixture[str]) -> None:
     scene = DEMO.with_name("two_handles.yaml")
@@ -189,6 +192,7 @@ def test_smaller_older_and_settling_torques_are_no_other_torques(
     assert port["uncommanded_cycles"] == 0
 
 
+@pytest.mark.slow
 def test_a_group_takes_a_skipped_sync_for_holds_of_which_only_the_whole_motion_is_known() -> None:
     """Its wall goes on by the time that passed, and no fast motion is made of a slow one that lasted longer."""
     scene = load_scene(DEMO.parent / "two_handles.yaml", ["simulation.bus={stall: [{begin: 0.3, duration: 5 ms}]}"])

@@ -80,6 +80,7 @@ def run_with(controller_of: Callable[[Controller], Controller], bus_log: Path, m
     return main(["run", str(DEMO), "--duration", "0.5", "--json", "--bus-log", str(bus_log), *IN_CONTACT])
 
 
+@pytest.mark.slow_but("a torque of NaN", "an exception*", "SIGINT")
 @pytest.mark.parametrize("what", ENDINGS)
 def test_the_torque_goes_to_zero_and_the_drive_is_disabled(
     what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

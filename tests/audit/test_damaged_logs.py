@@ -222,6 +222,7 @@ def test_repair_keeps_the_rows_that_every_column_has_and_refuses_what_it_cannot_
             repair(damaged(whole, damage, "ports/handle/h_i"), saved)
 
 
+@pytest.mark.slow_but("<lambda>0")
 @pytest.mark.skipif(sys.platform == "win32", reason="a process has no copies on Windows")
 @pytest.mark.parametrize("crash", [lambda *_, **__: ctypes.string_at(0), lambda *_, **__: os.abort()])
 def test_a_crash_of_the_library_is_one_error_and_leaves_nothing(
@@ -271,6 +272,7 @@ def test_a_text_that_is_no_utf8_is_read_and_saved(whole: Path) -> None:
         assert log.attributes["config_source"] == "\ufffd.yaml"
 
 
+@pytest.mark.slow_but("branch")
 @pytest.mark.parametrize("name", ["branch", "certificate"])
 def test_a_code_that_does_not_exist_is_one_error(whole: Path, name: str) -> None:
     def put(file: Any, name: str) -> None:
@@ -280,7 +282,7 @@ def test_a_code_that_does_not_exist_is_one_error(whole: Path, name: str) -> None
         typed.inspect(damaged(whole, put, f"ports/handle/{name}"))
 
 
-@pytest.mark.slow_but("format_version-x", "ports-")
+@pytest.mark.slow_but("ports-")
 @pytest.mark.parametrize(
     ("attribute", "value"),
     [
@@ -327,6 +329,7 @@ def test_a_text_that_claims_gigabytes_is_refused_at_once(whole: Path) -> None:
     assert resource.getrlimit(resource.RLIMIT_AS) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [12, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_damaged_table_of_names_is_repaired_or_one_error(whole: Path, step: int) -> None:
     content = whole.read_bytes()
@@ -338,7 +341,7 @@ def test_a_damaged_table_of_names_is_repaired_or_one_error(whole: Path, step: in
                 repair(path, whole.with_name("saved.h5"))
 
 
-@pytest.mark.slow_but("digest")
+@pytest.mark.slow
 @pytest.mark.parametrize("column", ["digest", "timing/compute", "ports/handle/branch"])
 def test_a_chunk_that_cannot_be_unpacked_is_one_error(column: str, whole: Path, tmp_path: Path) -> None:
     path = tmp_path / "damaged.h5"

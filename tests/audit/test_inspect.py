@@ -44,6 +44,7 @@ def balances(log: EnergyLog, rows: slice) -> list[EnergyBalance]:
     return [EnergyBalance(*row) for row in zip(*(port[name][rows].tolist() for name in names), strict=True)]
 
 
+@pytest.mark.slow_but("None-None")
 @pytest.mark.parametrize(("start", "stop"), [(None, None), (1.0, 3.0), (0.9, 1.0)])
 def test_the_account_equals_that_of_the_ledger_of_the_run(log: Path, start: float | None, stop: float | None) -> None:
     with EnergyLog.open(log) as opened:
@@ -102,6 +103,7 @@ def test_contacts_are_found_with_depth_peak_and_energy(log: Path, account: Inspe
         assert found[0]["depth"] == np.abs(port["state"][rows]).max()
 
 
+@pytest.mark.slow
 def test_in_the_wall_of_user_code_in_its_own_process_the_depth_is_measured_and_of_a_program_not_known(
     log: Path, account: Inspection, tmp_path: Path
 ) -> None:
@@ -146,6 +148,7 @@ def test_quantiles_are_values_that_occurred() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_part_says_where_it_begins_and_ends(log: Path, account: Inspection) -> None:
     with EnergyLog.open(log) as opened:
         whole, part = account, inspect(opened, 1.0, 3.0)
@@ -396,6 +399,7 @@ def changed(log: Path, path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow_but("0.0--0.0-True", "nan-nan-False")
 @pytest.mark.parametrize(
     ("first", "second", "differ"),
     [(0.0, -0.0, True), (math.nan, math.nan, False), (math.nan, 1.0, True), (1.0, math.nextafter(1.0, 2.0), True)],
@@ -490,6 +494,7 @@ def test_a_mat_file_holds_every_quantity(log: Path, tmp_path: Path, capsys: pyte
         assert np.array_equal(content["ports"]["handle"]["interaction"], opened.ports["handle"]["h_i"])
 
 
+@pytest.mark.slow
 def test_repair_saves_the_rows_before_the_damage(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     damaged, saved = tmp_path / "damaged.h5", tmp_path / "saved.h5"
     with h5py.File(damaged, "w") as file, h5py.File(log) as source:
@@ -532,6 +537,7 @@ def test_repair_saves_every_row_of_a_log_whose_events_are_damaged(log: Path, tmp
         assert (repaired.rows, repaired.events) == (4000, [])
 
 
+@pytest.mark.slow
 def test_a_repaired_copy_that_cannot_be_written_is_one_clear_error(log: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no/saved\.h5: the repaired copy cannot be written"):
         typed.inspect(log, "--repair", tmp_path / "no" / "saved.h5")

@@ -131,6 +131,7 @@ def test_a_drive_without_watchdog_is_a_condition_with_its_key(tmp_path: Path, ca
     assert "watchdog: false" in answer["configure"]
 
 
+@pytest.mark.slow_but("name2")
 @pytest.mark.parametrize("name", [OURS, TRAITS / "fixed_maps.eds", TRAITS / "no_target_torque.eds"])
 def test_the_verdict_and_its_reasons_come_first_and_the_tables_on_demand(name: Path, capsys: Captured) -> None:
     main(["check-eds", str(name)])
@@ -189,6 +190,7 @@ def test_every_guess_is_marked(tmp_path: Path, capsys: Captured) -> None:
     assert {"moving_mass", "demand_reported"} <= set(marked)
 
 
+@pytest.mark.slow_but("socketcan*")
 @pytest.mark.parametrize(
     ("interface", "expected"), [("gs_usb", (200.0, 0.7)), ("slcan", (25.0, 0.7)), ("socketcan", (1000.0, 0.5))]
 )
@@ -220,6 +222,7 @@ def test_real_drives_do_not_run_on_guesses(tmp_path: Path, capsys: Captured) -> 
     assert "marked TO SET" not in said
 
 
+@pytest.mark.slow
 def test_check_says_what_is_still_to_be_set(tmp_path: Path, capsys: Captured) -> None:
     scene = started(OURS, tmp_path, capsys)
     lines = scene.read_text().splitlines()
@@ -237,6 +240,7 @@ def test_check_says_what_is_still_to_be_set(tmp_path: Path, capsys: Captured) ->
     assert (node["value"], node["note"]) == ("1", "as set in the drive")
 
 
+@pytest.mark.slow
 def test_check_of_a_scene_without_marks_or_with_simulated_drives_is_well(tmp_path: Path) -> None:
     out = tmp_path / "rig.yaml"
     assert main(["new", str(OURS), "--simulate", "--out", str(out)]) == 0

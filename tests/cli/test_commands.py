@@ -168,6 +168,7 @@ def test_a_bar_is_drawn_where_the_end_is_known(capsys: Captured, monkeypatch: py
 # --- check, drive, schema -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_but("two_buses")
 @pytest.mark.parametrize("scene", ["two_buses", "admittance/six_axes"])
 def test_check_says_once_what_holds_for_every_axis(
     capsys: Captured, monkeypatch: pytest.MonkeyPatch, scene: str
@@ -180,6 +181,7 @@ def test_check_says_once_what_holds_for_every_axis(
     assert "\n  left_x" not in out
 
 
+@pytest.mark.slow
 def test_check_names_the_axes_of_a_limit_that_one_of_them_does_not_have(
     capsys: Captured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -210,6 +212,7 @@ def test_check_prints_configuration_bus_drives_stability_and_host(capsys: Captur
     assert "stiffness: 100.0" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_check_marks_limits_that_the_chosen_algorithm_does_not_rest_on(capsys: Captured) -> None:
     stiff = ["--set", "environment.stiffness=5000"]
     assert main(["check", DEMO, *stiff, "--json"]) == 0

@@ -85,6 +85,7 @@ def test_the_whole_scene_is_written_and_says_what_was_measured(
     )  # node_id, unit, counts_per_unit, rated_torque, bound
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("walked_once")
 def test_no_value_of_a_simulated_drive_is_taken_for_that_of_a_real_one(
     capsys: pytest.CaptureFixture[str], tmp_path: Path

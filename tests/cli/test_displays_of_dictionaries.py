@@ -28,6 +28,7 @@ def judged(eds: str, mode: str, capsys: pytest.CaptureFixture[str]) -> tuple[int
     return status, json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow_but("cia402_servo.eds-*", "cia402_admittance.eds-velocity")
 @pytest.mark.parametrize("mode", ["velocity", "position"])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_dictionary_that_is_fit_gives_a_simulated_display_that_runs_and_another_none(
@@ -45,6 +46,7 @@ def test_a_dictionary_that_is_fit_gives_a_simulated_display_that_runs_and_anothe
     assert main(["run", scene, "--duration", "0.02", "--json"]) == 0
 
 
+@pytest.mark.slow_but("cia402_admittance.eds-velocity")
 @pytest.mark.parametrize("mode", ["velocity", "position"])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_dictionary_that_is_fit_gives_a_real_display_that_waits_for_its_marks_alone(
@@ -78,6 +80,7 @@ def test_a_dictionary_that_is_fit_gives_a_real_display_that_waits_for_its_marks_
         assert all(text in capsys.readouterr().err for text in said)
 
 
+@pytest.mark.slow_but("6083")
 @pytest.mark.parametrize("index", ["6083", "6084", "60C5", "60C6"])
 def test_a_ramp_in_the_drive_that_would_bend_the_command_is_refused_and_a_starter_stays_below_it(
     index: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

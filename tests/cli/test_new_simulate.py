@@ -57,7 +57,7 @@ def runs(eds: Path, folder: Path) -> None:
     assert main(["run", str(scene), "--duration", "0.05", "--json"]) == 0
 
 
-@pytest.mark.slow_but("no 0x6502", "0x1400 an array, no deadline")
+@pytest.mark.slow_but("no 0x6502")
 @pytest.mark.parametrize("name", GENERATED)
 def test_a_scene_runs_for_what_dictionaries_of_the_field_state(name: str, tmp_path: Path) -> None:
     eds = tmp_path / "drive.eds"
@@ -66,7 +66,7 @@ def test_a_scene_runs_for_what_dictionaries_of_the_field_state(name: str, tmp_pa
     runs(eds, tmp_path)
 
 
-@pytest.mark.slow_but("60")
+@pytest.mark.slow
 @pytest.mark.parametrize("part", sorted({name[:2] for name in WITH_DEFAULTS}))
 def test_a_scene_runs_without_the_values_of_any_part_of_the_dictionary(part: str, tmp_path: Path) -> None:
     """All values of one part missing at once; parts are 0x10xx, 0x14xx and so on."""
@@ -81,7 +81,7 @@ def test_a_scene_runs_without_the_values_of_any_part_of_the_dictionary(part: str
 OBJECTS = [name for name in WITH_DEFAULTS if name[:2] in ("10", "14", "60", "65")]
 
 
-@pytest.mark.slow_but("1016sub1", "605B")
+@pytest.mark.slow_but("605B")
 @pytest.mark.parametrize(
     "section",  # one in five, and all of them with the slow tests
     [pytest.param(name, marks=pytest.mark.slow if n % 5 else []) for n, name in enumerate(OBJECTS)],

@@ -23,6 +23,7 @@ def _commissioned(capsys: pytest.CaptureFixture[str], *overrides: str) -> tuple[
     }
 
 
+@pytest.mark.slow
 def test_a_right_configuration_agrees_and_the_drive_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
     status, found = _commissioned(capsys)
     assert status == 0

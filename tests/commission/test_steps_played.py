@@ -92,6 +92,7 @@ def test_an_axis_that_drifts_a_quarter_of_the_travel_does_not_stand_still() -> N
         assert float(row(session, STANDSTILL).found.split()[0]) == pytest.approx(min(part, 0.25) * travel, rel=0.01)
 
 
+@pytest.mark.slow_but("199-False")
 @pytest.mark.parametrize(("counts", "is_told"), [(199, False), (202, True)])
 def test_a_distance_of_two_hundred_counts_tells_the_scale_of_the_encoder(counts: int, is_told: bool) -> None:
     session = played(Moved(lambda time: counts * 1e-6 * min(1.0, 10.0 * time)))
@@ -190,6 +191,7 @@ def test_pulses_of_a_free_mass_give_its_mass_and_one_against_the_encoder_fails()
     assert row(turned, SIGN).verdict is StepVerdict.FAILED
 
 
+@pytest.mark.slow_but("300")
 @pytest.mark.parametrize("counts", [300, 2_000, 60_000])
 def test_a_coarse_encoder_tells_the_sign_within_its_guard(counts: int) -> None:
     for mass, verdict in ((MASS, StepVerdict.AGREES), (-MASS, StepVerdict.FAILED)):
@@ -268,6 +270,7 @@ def test_between_tests_an_axis_that_hangs_is_held_and_sinks_no_further_than_a_te
     assert least <= -hung.position <= most
 
 
+@pytest.mark.slow_but("5.19-*")
 @pytest.mark.parametrize(("declared", "verdict"), [(5.2, StepVerdict.AGREES), (5.19, StepVerdict.DIFFERS)])
 def test_the_weight_of_an_axis_with_a_brake_is_measured_and_proposed(declared: float, verdict: StepVerdict) -> None:
     brake = f"axes.0.brake={{release_time: 0.03, set_time: 0.05, holds_weight: {declared} N}}"

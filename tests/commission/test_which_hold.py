@@ -55,6 +55,7 @@ def test_the_hold_is_found_with_any_lag_the_friction_and_the_shaft(effects: str,
     assert found.high - found.low < 0.9
 
 
+@pytest.mark.slow
 def test_strong_damping_is_part_of_the_model_and_not_taken_for_a_resonance() -> None:
     """Twin 983: 62 g, 0.69 N*s/m, 145 us of lag, two SYNCs late; the torque before the window brakes within it too."""
     torques, hold = np.array(reversals(0.95, 16, 32)), 2
@@ -249,6 +250,7 @@ def test_a_check_of_the_hold_is_of_the_drive_that_was_tried(serial: int, *, is_c
         assert said == ("checked at commissioning" if expected else "not checked")
 
 
+@pytest.mark.slow
 def test_a_motion_that_is_none_of_the_models_is_found_and_said_to_be_unexplained() -> None:
     """Each reversal is followed by a kick that no torque gave."""
     torques = np.concatenate([np.zeros(5), reversals(1.0, 16, 12), np.zeros(6)])

@@ -61,7 +61,9 @@ def test_every_joule_of_every_hold_has_a_name(environment, algorithm, delay, scr
         assert balance.h_m == balance.h_i - balance.h_pas
 
 
-@pytest.mark.slow_but("guarded-*", "unprotected-detents", "internal_dissipation-spring_damper_wall")
+@pytest.mark.slow_but(
+    "guarded-coulomb_surface", "guarded-spring_damper_wall", "unprotected-detents", "internal_*-spring_*"
+)
 @every_algorithm
 @settings(max_examples=8)
 @given(script=moves)
@@ -84,7 +86,7 @@ def tapping(made, delay, cycles=400):
     return balances
 
 
-@pytest.mark.slow_but("0-*-two_sided_wall", "1-guarded-*")
+@pytest.mark.slow_but("0-*-two_sided_wall", "1-guarded-layers", "1-guarded-viscoelastic_medium")
 @every_algorithm
 @pytest.mark.parametrize("delay", [0, 1])
 def test_after_reset_the_run_repeats_bit_for_bit(environment, algorithm, delay):
@@ -107,6 +109,7 @@ def test_a_value_that_is_not_finite_raises_and_nothing_of_before_remains(environ
             assert tapping(made, 1) == fresh, values
 
 
+@pytest.mark.slow_but("0-*-spring_damper_wall", "1-guarded-*", "1-internal_dissipation-layers")
 @pytest.mark.parametrize("algorithm", [name for name in algorithms() if name not in UNPROTECTED_START])
 @pytest.mark.parametrize("delay", [0, 1])
 def test_switched_on_in_contact_there_is_no_torque_while_the_user_rests(environment, algorithm, delay):
@@ -114,7 +117,7 @@ def test_switched_on_in_contact_there_is_no_torque_while_the_user_rests(environm
     assert all(made.step(-0.015, 0.0).torque == 0.0 for _ in range(20))
 
 
-@pytest.mark.slow_but("1-*-detents", "*-guarded-*", "1-internal_dissipation-*", "1-unprotected-*")
+@pytest.mark.slow_but("1-*-detents", "0-guarded-*", "1-internal_dissipation-layers")
 @every_algorithm
 @pytest.mark.parametrize("delay", [0, 1])
 def test_a_user_at_rest_never_draws_energy(environment, algorithm, delay):
@@ -128,7 +131,9 @@ def test_a_user_at_rest_never_draws_energy(environment, algorithm, delay):
     assert balance.gen == 0.0
 
 
-@pytest.mark.slow_but("*-spring_damper_wall", "guarded-*", "internal_dissipation-*")
+@pytest.mark.slow_but(
+    "*-spring_damper_wall", "guarded-detents", "guarded-coulomb_surface", "internal_dissipation-layers"
+)
 @every_algorithm
 def test_a_lost_position_repeats_the_torque_and_books_it_with_the_next(environment, algorithm):
     made = controller(algorithm, EVERY[environment][0])
@@ -149,14 +154,14 @@ def test_a_lost_position_repeats_the_torque_and_books_it_with_the_next(environme
             position, held = position - 3e-4, late.torque
 
 
-@pytest.mark.slow_but("*-spring_damper_wall", "guarded-*")
+@pytest.mark.slow_but("*-spring_damper_wall")
 @every_algorithm
 def test_before_the_first_position_there_is_nothing_to_repeat(environment, algorithm):
     made = controller(algorithm, EVERY[environment][0])
     assert made.sample_lost()._replace(branch=0) == AT_REST
 
 
-@pytest.mark.slow_but("*-spring_damper_wall", "internal_dissipation-*", "unprotected-*")
+@pytest.mark.slow_but("*-spring_damper_wall", "internal_dissipation-layers", "unprotected-viscoelastic_medium")
 @pytest.mark.parametrize("algorithm", [name for name in algorithms() if name != "guarded"])
 def test_a_reversal_hidden_by_a_lost_position_is_booked_at_its_worst(environment, algorithm):
     """Trap 13: out and back the displacement is near 0, and torque times displacement would be too.

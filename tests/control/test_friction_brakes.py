@@ -149,6 +149,7 @@ def excess(
 HOLD = [model for model in MODELS if model != "two springs, by slope"]
 
 
+@pytest.mark.slow_but("LuGre", "all that it may", "spring", "a third outward")
 @pytest.mark.parametrize("model", HOLD)
 def test_no_motion_on_friction_exceeds_the_bound(model: str) -> None:
     assert max(excess(model, seed, 3.0) for seed in range(3)) <= 1e-9

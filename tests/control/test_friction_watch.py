@@ -35,12 +35,13 @@ def excess(friction: float, declared: float, seed: int, *, count: float = 0.0, j
     return watch.excess
 
 
-@pytest.mark.slow_for("0.0-0.01")
+@pytest.mark.slow_but("1e-06-0.0")
 @pytest.mark.parametrize(("count", "jitter"), [(0.0, 0.0), (1e-6, 0.0), (0.0, 0.01)])
 def test_a_run_with_the_friction_that_is_declared_contradicts_nothing(count: float, jitter: float) -> None:
     assert max(excess(0.5, 0.5, seed, count=count, jitter=jitter) for seed in range(4)) == 0.0
 
 
+@pytest.mark.slow_but("1e-06")
 @pytest.mark.parametrize("count", [0.0, 1e-6])
 def test_a_wall_that_pushes_the_handle_out_too_fast_shows_that_the_friction_is_gone(count: float) -> None:
     found = [excess(0.05, 1.5, seed, count=count) for seed in range(4)]

@@ -16,7 +16,7 @@ from tests.adversary.users import USERS
 T, DAMPING, CREDIT = 1e-3, 3.0, 1e-4
 
 
-@pytest.mark.slow_for("3-1", "2-2")
+@pytest.mark.slow_but("2-1")
 @pytest.mark.parametrize("losses", [1, 2])
 @pytest.mark.parametrize("delay", [2, 3])
 def test_of_several_torques_under_way_any_may_stay_for_the_next(delay: int, losses: int) -> None:
@@ -81,9 +81,9 @@ def dragged(delay: int, losses: int, seed: int) -> tuple[float, float]:
 @pytest.mark.parametrize("delay", [1, 2])
 def test_a_reversal_in_a_lost_sample_is_booked_where_damping_alone_is_known(delay: int, losses: int) -> None:
     """At delay 1 46 mJ more came out than device and wall had taken in: the displacement, 0, did not show it."""
-    runs = [dragged(delay, losses, seed) for seed in range(120)]
+    runs = [dragged(delay, losses, seed) for seed in range(40)]
     assert min(least for least, _ in runs) >= -1e-12
-    assert sum(strongest > 1.0 for _, strongest in runs) > 20
+    assert sum(strongest > 1.0 for _, strongest in runs) > 6
 
 
 def test_what_a_lost_sample_hides_of_every_hand_is_the_closed_form() -> None:

@@ -71,6 +71,7 @@ def said_of(shift: int, *, lag: float = 0.0, lost: float = 0.0, holds: int = 120
     return controller
 
 
+@pytest.mark.slow_but("-1-*", "0-*")
 @pytest.mark.parametrize(("shift", "said"), [(-1, EARLY), (0, FOUND), (1, LATE)])
 def test_signs_find_the_drive_that_acts_in_another_hold_and_take_its_certificate(shift: int, said: str) -> None:
     controller = said_of(shift)

@@ -114,6 +114,7 @@ def takes(case: Case, motion: Motion, torque: float, hand: float, friction: floa
     return taken + (net * tail(case, following, following.highest, hand) if case.known.late else 0.0)
 
 
+@pytest.mark.slow_but("1.0")
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_largest_torque_takes_all_that_is_left_by_the_best_of_the_certificates(sign: float) -> None:
     """Without losses. Below the older torques, while the axis moves inward, some of what is left is not used."""

@@ -18,6 +18,7 @@ from tests.control.late_formulas import (
 )
 
 
+@pytest.mark.slow_but("1")
 @pytest.mark.parametrize("losses", [1, 3])
 def test_a_torque_that_may_be_held_on_takes_what_is_left_in_the_worst_number_of_holds(losses: int) -> None:
     """n sum(D) + g (X_1 + c sum(X)) + n x and the tail (n + c g) X, for as many holds as it may act in."""

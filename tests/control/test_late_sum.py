@@ -33,6 +33,7 @@ def declared(*, friction=0.0, damping=0.0, speed=0.0, late=2e-4, losses=0, delay
     )  # fmt: skip
 
 
+@pytest.mark.slow_but("0.0001-*-0.0", "0.0-*-2.0")
 @pytest.mark.parametrize(("friction", "damping"), [(0.0, 0.0), (0.5, 0.0), (0.0, 2.0), (0.5, 2.0), (9.0, 0.0)])
 @pytest.mark.parametrize("late", [0.0, 1e-4, 3e-4])
 def test_no_motion_within_reach_takes_more_of_a_hold_whose_torque_comes_late(friction, damping, late):
@@ -92,6 +93,7 @@ def test_a_debt_is_met_with_a_torque_that_takes_energy_in_by_itself_or_with_none
     assert sent > 100
 
 
+@pytest.mark.slow_but("0", "1", "5", "7", "10")
 @pytest.mark.parametrize("seed", range(12))
 def test_no_hand_takes_more_than_came_in_and_the_device_dissipates_where_frames_are_lost(seed):
     draw = random.Random(seed)

@@ -27,6 +27,7 @@ def growth(delay: int, stiffness: float, mass: float) -> float:
     return float(max(abs(np.linalg.eigvals(loop)))) - 1.0
 
 
+@pytest.mark.slow_but("1-*")
 @pytest.mark.parametrize(("delay", "certified", "times"), [(0, 0.5, 7.5), (1, 1.0 / 6.0, 3.0), (2, 1.0 / 12.0, 2.0)])
 def test_a_mass_declared_too_small_makes_no_motion_grow_but_slowly(delay: int, certified: float, times: float) -> None:
     """The figures of the module, for springs up to the stiffest that is certified, k T^2 / m."""

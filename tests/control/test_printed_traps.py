@@ -84,6 +84,7 @@ def test_7_an_emptied_store_gives_no_torque_and_is_armed_again_by_a_push():
     assert made.step(-0.0006, 0.0).branch == Branch.START
 
 
+@pytest.mark.slow_but("2.0-unprotected", "5.0-internal_dissipation")
 @pytest.mark.parametrize("algorithm", ["unprotected", "a_priori_dissipation", "internal_dissipation"])
 @pytest.mark.parametrize("limit", [5.0, 2.0])
 def test_10_under_saturation_the_torque_read_back_keeps_the_account_exact(algorithm, limit):
@@ -114,6 +115,7 @@ def test_10_a_clipped_torque_scales_the_damper_efforts_inside_it():
     assert reversed_sign.h_pas == reversed_sign.h_r == 0.0
 
 
+@pytest.mark.slow_but("1e-05-0", "0.001-1")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("count", [1e-3, 1e-4, 1e-5])
 def test_12_believed_and_true_energy_differ_by_no_more_than_the_bound_of_the_encoder(count, delay):

@@ -64,6 +64,7 @@ def test_any_answers_give_a_value_or_an_sdo_error(answers: list[list[bytes]], re
             sdo.write(0x1008, 0, 1, size=size)
 
 
+@pytest.mark.slow
 def test_an_upload_without_end_is_given_up() -> None:
     toggles = iter(range(1 << 30))
 

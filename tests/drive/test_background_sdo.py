@@ -290,6 +290,7 @@ def test_it_is_refused_where_the_bus_has_no_room(bench: MakeBench) -> None:
         b.rig.sdo(0).read(0x6502)
 
 
+@pytest.mark.slow_but("24640", "24689", "4118", "5120", "6656")
 @pytest.mark.parametrize(
     "index",
     [

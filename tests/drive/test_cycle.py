@@ -16,6 +16,7 @@ from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import MakeBench, axis, started
 
 
+@pytest.mark.slow_but("actual-synchronous-2", "none-event-1", "demand-synchronous-2")
 @pytest.mark.parametrize(("rpdo", "delay"), [("synchronous", 2), ("event", 1)])
 @pytest.mark.parametrize("read_back", ["demand", "actual", "none"])
 def test_a_torque_is_reported_for_exactly_the_holds_in_which_it_acted(
@@ -30,6 +31,7 @@ def test_a_torque_is_reported_for_exactly_the_holds_in_which_it_acted(
     assert applied == pytest.approx([0.0] * delay + commands[:-delay])
 
 
+@pytest.mark.slow_but("none-before_update", "actual-after_update", "demand-before_update")
 @pytest.mark.parametrize("twin", ["before_update", "after_update"])
 @pytest.mark.parametrize("read_back", ["demand", "actual", "none"])
 def test_of_a_drive_that_acts_a_sync_late_every_hold_is_booked_with_its_own_torque(

@@ -64,9 +64,7 @@ def comes_up(made: Callable[[], Bench]) -> str:
         return str(error)
 
 
-@pytest.mark.slow_but(
-    "6072-4", "6076-4", "6040-4", "60C2sub1-4", "1600sub1-4", "1A00sub1-4", "605A-4", "value of 6502-4"
-)
+@pytest.mark.slow_but("1600sub1-4", "6072-4", "6040-4")
 @pytest.mark.parametrize("step", [4, pytest.param(1, marks=pytest.mark.slow)])  # all of them: 11 s of a processor
 @pytest.mark.parametrize("section", [*NEEDED, *dict.fromkeys(f"value of {section}" for section, _ in VALUES)])
 def test_verdict_and_run_agree_on_every_change_of_an_object(

@@ -111,6 +111,7 @@ def test_a_limit_that_is_read_back_is_recorded_and_stops_nothing(bench: MakeBenc
     assert samples[-1].torque_applied == pytest.approx(0.5)
 
 
+@pytest.mark.slow_but("0.5-demand", "0.0-actual", "-2.0-demand")
 @pytest.mark.parametrize("read_back", ["demand", "actual"])
 @pytest.mark.parametrize("commanded", [0.5, 0.0, -2.0])
 def test_a_limit_explains_no_torque_that_is_larger_or_turned(

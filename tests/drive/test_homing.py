@@ -110,7 +110,7 @@ def test_a_brake_of_the_host_opens_before_the_homing_and_is_set_before_the_drive
     assert end[2] - steps[closed][2] >= 0.05e9
 
 
-@pytest.mark.slow_but("*-0")
+@pytest.mark.slow_but("1-33-0")
 @pytest.mark.parametrize(("method", "home_at"), [(34, 4096), (33, 0)])
 @pytest.mark.parametrize("direction", [1, -1])
 def test_the_axis_moves_to_the_next_index_and_stays_there(

@@ -10,6 +10,7 @@ from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import MakeBench, axis, started
 
 
+@pytest.mark.slow_but("0", "1", "6")
 @pytest.mark.parametrize("late", [0, 1, 5, 6, 9])
 def test_a_stall_skips_syncs_and_never_bursts(bench: MakeBench, late: int) -> None:
     b = started(bench)
@@ -28,6 +29,7 @@ def test_a_stall_skips_syncs_and_never_bursts(bench: MakeBench, late: int) -> No
     assert b.rig.drives[0].longest_hold == (20 if late < 5 else 21)
 
 
+@pytest.mark.slow_but("389-1", "517-3")
 @pytest.mark.parametrize("lost", [0, 1, 3])
 @pytest.mark.parametrize("cob_id", [0x185, 0x205])
 def test_a_hold_lasts_as_many_sample_times_as_frames_were_lost_in_a_row(

@@ -153,6 +153,7 @@ def test_objects_that_the_scene_sets_are_written_and_put_back(bench: MakeBench) 
     assert b.drives[0].store.find(0x6085).number == 70
 
 
+@pytest.mark.slow
 def test_a_display_leaves_no_steepest_ramp_behind(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """0x6083 to 0x6085, 0x60C5 and 0x60C6 are as before; the log of the run names the limit that is kept."""
     log, bus_log = tmp_path / "run.h5", tmp_path / "run.log"

@@ -117,7 +117,7 @@ def test_one_bus_that_dies_stops_the_drives_of_the_other() -> None:
     two.close()
 
 
-@pytest.mark.slow_for("1-6*", "2-3*")
+@pytest.mark.slow_but("1-3-500.0", "1-2-1000.0")
 @pytest.mark.parametrize(
     ("count", "per_bus", "rate"),
     [(1, 1, 1000.0), (1, 2, 1000.0), (1, 3, 500.0), (1, 6, 400.0), (2, 3, 500.0), (3, 2, 1000.0)],

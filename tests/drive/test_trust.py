@@ -127,6 +127,7 @@ def is_without_torque(experiment: Experiment) -> bool:
     return all(drive.torque == 0.0 for drive in experiment.far_side.drives)
 
 
+@pytest.mark.slow_but("kind:?minus-both", "kind:?more*-actual")
 @pytest.mark.parametrize("shown", ["actual", "both"])
 @pytest.mark.parametrize("fault", ["kind: twice", "kind: minus", "kind: more, torque: -10 N"])
 def test_a_drive_that_applies_another_torque_than_commanded_ends_the_run(fault: str, shown: str) -> None:
@@ -147,6 +148,7 @@ def test_a_drive_that_holds_its_torque_for_good_ends_the_run_as_one_that_lost_it
     assert found.syncs <= 2 * STOP
 
 
+@pytest.mark.slow_but("drop:?0.5,?ids:*0x201*", "*every?19?of?20*")
 @pytest.mark.parametrize(
     ("bus", "most"),
     [

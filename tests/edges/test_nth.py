@@ -201,6 +201,7 @@ def test_wherever_it_fails_zero_comes_first_and_nothing_is_lost(fault: str, how:
     assert syncs <= {0, 1, None}  # None: no frame goes out any more
 
 
+@pytest.mark.slow_but("receive", "send without memory", "SDO unanswered")
 @pytest.mark.parametrize("fault", FAULTS)
 def test_at_a_few_places_zero_comes_first_and_nothing_is_lost(fault: str) -> None:
     every = places(fault, "once")

@@ -77,6 +77,7 @@ def require_told(seen: Outcome | None, path: Path) -> None:
         assert str(path) in str(seen.error)
 
 
+@pytest.mark.slow_but("flush-1")
 @pytest.mark.parametrize(("kind", "n"), cells(ENERGY, {("append", 14), ("flush", 1)}))
 def test_an_energy_log_is_whole_or_said_not_to_be(
     kind: str, n: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -151,6 +151,7 @@ def test_a_rig_without_its_other_side_and_a_program_on_its_axis_are_refused(tmp_
     assert said["far"]["sessions"] == said["with"]["far"]["sessions"] == 1
 
 
+@pytest.mark.slow
 def test_two_logs_are_joined_by_their_packets_and_a_log_that_hides_energy_fails(run, tmp_path):
     first, second = run[1]
     with EnergyLog.open(first) as log, EnergyLog.open(second) as other:

@@ -17,6 +17,7 @@ WEIGHT = ("--set", "simulation.user={push: -5 N}")
 BRAKE = "axes.0.brake={release_time: 30 ms, set_time: 50 ms"
 
 
+@pytest.mark.slow
 def test_a_hung_axis_is_held_by_a_stop_until_its_brake_holds_and_check_says_where_it_would_sink(person: Person) -> None:
     forgotten = person.types("check", DEMO, "--full", "--set", f"{BRAKE}}}", status=None)
     assert "declare brake.holds_weight" in " ".join(forgotten.split())

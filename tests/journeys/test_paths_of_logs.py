@@ -33,6 +33,7 @@ def test_a_recording_is_inspected_recomputed_and_replayed(person: Person) -> Non
     assert "identical" in person.types("replay", "run.log", "--config", DEMO, *IN_CONTACT[2:])
 
 
+@pytest.mark.slow
 def test_the_scene_of_a_real_rig_names_what_is_to_be_set_and_does_not_run_before(person: Person) -> None:
     person.types("new", str(EDS / "cia402_servo.eds"), "--out", "rig.yaml")
     assert "TO SET" in person.types("check", "rig.yaml", status=1) + (person.folder / "rig.yaml").read_text()

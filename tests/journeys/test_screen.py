@@ -65,6 +65,7 @@ def test_two_logs_show_the_contacts_of_both(tmp_path: Path, capsys: pytest.Captu
     assert " 40.h5 knob: " in text
 
 
+@pytest.mark.slow
 def test_a_second_save_is_one_clear_error_unless_overwrite_is_given(tmp_path: Path) -> None:
     result, path = canhaptic.simulate("demo", duration=0.05), tmp_path / "run.h5"
     result.save(path)

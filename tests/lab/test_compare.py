@@ -136,7 +136,7 @@ def test_over_can_every_figure_is_the_same_to_the_last_bit(scene):
         assert direct["force_ripple"]["value"] > 1.0
 
 
-@pytest.mark.slow_but("stiff_wall", "slow_and_late")
+@pytest.mark.slow_but("slow_and_late")
 @pytest.mark.parametrize("path", HARD, ids=lambda path: path.stem)
 def test_guarded_gives_out_nothing_on_any_hard_scene(path):
     assert path.read_text().startswith("# ")  # what is hard about it

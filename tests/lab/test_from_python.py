@@ -147,6 +147,7 @@ def test_a_missing_log_is_a_missing_file(tmp_path: Path) -> None:
         assert isinstance(caught.value, InputError)
 
 
+@pytest.mark.slow
 def test_an_account_has_its_ports_as_attributes_and_the_package_its_version() -> None:
     account = canhaptic.simulate("demo", duration="3 ms", progress=False).account
     assert account.handle is account["handle"]

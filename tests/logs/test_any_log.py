@@ -90,6 +90,7 @@ DAMAGE = st.tuples(
 )
 
 
+@pytest.mark.slow_but("log")
 @pytest.mark.parametrize("suffix", ["log", "blf", "trc", "asc"])
 @QUICK
 @given(DAMAGE | st.binary(min_size=1, max_size=300))

@@ -16,6 +16,7 @@ from canhaptic.logs.repair import repair
 from canhaptic.logs.ring import RingShape, SharedArea, allocate, size_of
 from canhaptic.logs.writer_process import EnergyLogWriter
 from canhaptic.quantities import NEW_COLUMNS
+from tests.drawn import examples
 from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
 from tests.logs.patience import wait_for
 
@@ -174,6 +175,7 @@ def test_a_full_ring_at_real_pace_drops_counts_and_flags_without_waiting(tmp_pat
         assert log.dropped == writer.dropped
 
 
+@pytest.mark.slow
 def test_a_log_can_be_read_while_it_is_written(tmp_path: Path) -> None:
     writer = EnergyLogWriter(tmp_path / "live.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS, with_truth=True)
     for k in range(1000):
@@ -266,7 +268,7 @@ def test_flipped_bytes_anywhere_are_an_error_or_a_part_never_a_crash(tmp_path: P
     whole = finished.read_bytes()
     generator = random.Random(7)
     path = tmp_path / "flipped.h5"
-    for _ in range(60):
+    for _ in range(examples(100)):
         content = bytearray(whole)
         reach = generator.choice([100, 3000, len(whole)])
         for _ in range(generator.choice([1, 5, 50])):

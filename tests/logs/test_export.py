@@ -114,6 +114,7 @@ def test_floats_in_csv_read_back_to_the_same_bits(path: Path, tmp_path: Path, mo
         assert column.tobytes() == log.ports["handle"]["h_m"].tobytes()
 
 
+@pytest.mark.slow_but("mat")
 @pytest.mark.parametrize("suffix", ["csv", "parquet", "mat", "mcap"])
 def test_a_table_that_cannot_be_written_is_one_clear_error(path: Path, tmp_path: Path, suffix: str) -> None:
     target = tmp_path / "no" / f"run.{suffix}"

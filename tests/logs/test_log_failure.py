@@ -91,6 +91,7 @@ def test_a_scene_names_its_logs_and_bounds_their_size(tmp_path: Path, capsys: py
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_the_last_seconds_are_kept_only_after_a_bad_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "last.log"
     words = ["run", DEMO, "--duration", "0.5", "--set", f"log={{bus: {path}, last: 0.2 s}}", "--json"]

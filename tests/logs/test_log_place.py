@@ -61,6 +61,7 @@ def test_a_second_run_into_one_log_is_refused(tmp_path: Path, make: Callable[[Pa
     assert [file.name for file in tmp_path.iterdir()] == ["run.log"]
 
 
+@pytest.mark.slow
 def test_two_logs_of_one_run_on_one_file_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(tmp_path / "run.h5")
     assert main(["run", DEMO, "--duration", "0.1", "--log", path, "--bus-log", path]) == 2
@@ -126,6 +127,7 @@ def test_a_run_whose_log_is_deleted_stops_and_says_so(
     assert json.loads(captured.out)["result"]["cycles"] < 20_000  # of 20 s
 
 
+@pytest.mark.slow
 def test_a_good_run_keeps_the_recording_of_the_fault_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # elsewhere a scene replaces nothing
     path = tmp_path / "last.log"

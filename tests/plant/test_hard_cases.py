@@ -131,6 +131,7 @@ STOPS = [
 ]
 
 
+@pytest.mark.slow
 def test_more_events_than_the_cap_end_the_run_with_state_and_remedy():
     """An elastic ball between two stops 2 nm apart: a million impacts in one hold."""
     plant = make_plant(*STOPS, user=None, damping=0.0, initial_velocity=10.0, mass=1e-6)

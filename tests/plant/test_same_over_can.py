@@ -24,7 +24,7 @@ EFFECTS = {
 }
 
 
-@pytest.mark.slow_but("dry-synchronous", "bare-event", "stop-event")
+@pytest.mark.slow_but("bare-event", "stop-event")
 @pytest.mark.parametrize("rpdo", ["event", "synchronous"])
 @pytest.mark.parametrize("name", EFFECTS)
 def test_can_and_direct_rig_agree_bit_for_bit(name, rpdo, tmp_path):

@@ -42,6 +42,7 @@ def test_a_change_reaches_the_wall(stiff: canhaptic.SimulationResult) -> None:
     assert depths[0] < depths[1] - 1e-3
 
 
+@pytest.mark.slow
 def test_time_and_quantities_have_one_row_per_cycle(stiff: canhaptic.SimulationResult) -> None:
     assert stiff.time.shape == (round(INTO_THE_WALL / stiff.sample_time),)
     assert {values.shape for values in stiff.to_numpy().values()} == {stiff.time.shape}

@@ -53,6 +53,7 @@ def test_a_key_leaves_a_trace_where_another_value_sends_other_frames() -> None:
     assert tried & set(found["untraced"]) == {"passivity.hand_push"}
 
 
+@pytest.mark.slow
 def test_a_replay_that_ends_at_another_frame_says_no_more_than_that(capsys: pytest.CaptureFixture[str]) -> None:
     """It ended before the first torque, which the recording has."""
     assert main(["replay", str(RECORDED), "--config", str(DEMO), "--set", "environment.stiffness=900"]) == 1
@@ -78,6 +79,7 @@ def test_another_value_keeps_the_unit(value: str, others: list[str]) -> None:
     assert list(_others(value)) == others
 
 
+@pytest.mark.slow
 def test_the_result_is_a_test_case_of_junit(empty: Path, tmp_path: Path) -> None:
     file = tmp_path / "result.xml"
     words = ["replay", str(empty), "--config", str(DEMO), "--quick", "--junit", str(file), "--json"]

@@ -70,6 +70,7 @@ def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
     assert frames["compared"] + frames["played"] == frames["recorded"]
 
 
+@pytest.mark.slow_but("bound_sum-*", "bound_display-*", "bound_late_lossy_group-*")
 @pytest.mark.parametrize(
     ("name", "place"),
     [
@@ -100,6 +101,7 @@ def test_a_certificate_that_permits_a_little_more_changes_its_recording(
     assert replay_bus_log(FOLDER / f"{name}.log", scene_of(name))["status"] == "different"
 
 
+@pytest.mark.slow_but("emergency", "lost_frames")
 @pytest.mark.parametrize("name", ["paper_fig8_100hz", "two_axes", "emergency", "lost_frames"])
 def test_a_recording_without_the_start_is_replayed_from_the_first_sync(name: str, tmp_path: Path) -> None:
     lines = lines_of(name)
@@ -128,6 +130,7 @@ def random_frames(name: str, can_id: str, count: int, seed: int) -> Iterator[tup
         yield generator.choice(places), generator.randrange(32)
 
 
+@pytest.mark.slow_but("paper_fig7*")
 @pytest.mark.parametrize(("name", "can_id"), [("paper_fig7_40hz", "201"), ("two_axes", "205")])
 def test_any_flipped_bit_of_any_recorded_rpdo_is_found_at_its_line(name: str, can_id: str, tmp_path: Path) -> None:
     for number, bit in random_frames(name, can_id, 4, seed=1):
@@ -178,6 +181,7 @@ def test_a_time_that_no_clock_shows_is_refused_with_its_line(tmp_path: Path) -> 
         replay_lines(tmp_path, "demo", lines)
 
 
+@pytest.mark.slow_but("3-60", "0--1")
 @pytest.mark.parametrize("place", [60, -3, -2, -1])  # in the run, the last of it, and what disables the drive
 @pytest.mark.parametrize("bit", [0, 3])
 def test_a_flipped_bit_of_a_controlword_does_not_move_the_end_of_the_run(place: int, bit: int, tmp_path: Path) -> None:
@@ -234,6 +238,7 @@ def test_a_recording_that_was_cut_off_is_compared_as_far_as_it_goes(tmp_path: Pa
             replay_lines(tmp_path, "paper_fig8_100hz", lines[:length])
 
 
+@pytest.mark.slow_but(".trc")
 @pytest.mark.parametrize("suffix", [".blf", ".trc", ".asc"])
 def test_recordings_in_other_formats_are_replayed(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"run{suffix}"
@@ -336,6 +341,7 @@ def test_a_recording_without_a_whole_cycle_is_not_identical_but_refused(
     assert "boot.log: holds no whole cycle" in capsys.readouterr().err
 
 
+@pytest.mark.slow_but("0")
 @pytest.mark.parametrize("shift", range(4))
 def test_a_gap_in_a_recording_is_named_as_such(shift: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Frames lost by the recorder, from any place in a cycle on, while the hand is in the wall."""
@@ -361,6 +367,7 @@ def test_a_difference_without_a_gap_names_none(tmp_path: Path) -> None:
     assert result["difference"]["gap"] is None
 
 
+@pytest.mark.slow
 def test_can_fd_error_and_remote_frames_are_left_out_and_counted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,6 +41,7 @@ def test_a_run_that_ended_before_its_scene_says_is_replayed_to_its_end(change: s
     assert main(["replay", str(path), "--config", str(SCENE), *changes]) == 0
 
 
+@pytest.mark.slow
 def test_one_flipped_bit_of_an_answer_is_named(log: Path) -> None:
     frames = read_frame_log(log)
     number = next(
@@ -57,6 +58,7 @@ def test_one_flipped_bit_of_an_answer_is_named(log: Path) -> None:
     assert result.compared < result.recorded
 
 
+@pytest.mark.slow
 def test_a_scene_on_can_is_refused(log: Path) -> None:
     with pytest.raises(InputError, match="give the scene of one such line"):
         replay_line(log, load_scene(REPOSITORY / "configs" / "demo.yaml"))

@@ -48,6 +48,7 @@ def test_two_experiments_do_not_share_a_bus(tmp_path: Path) -> None:
         assert [each.rig.link_statistics()["foreign"] for each in (first, second)] == [0, 0]
 
 
+@pytest.mark.slow
 def test_a_run_leaves_nothing_behind(tmp_path: Path) -> None:
     scene = load_scene(scene_file(tmp_path))
     with build(scene, energy_log=tmp_path / "a.h5", bus_log=tmp_path / "a.log") as experiment:

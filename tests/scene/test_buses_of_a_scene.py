@@ -60,7 +60,7 @@ def scene_of(axes: int, buses: int, rate: float, **further: Any) -> Scene:
     )
 
 
-@pytest.mark.slow_for("6-1-400.0", "3-2-1000.0", "2-2-1000.0")
+@pytest.mark.slow_but("2-1-1000.0", "3-1-500.0")
 @pytest.mark.parametrize(
     ("axes", "buses", "rate"),
     [(1, 1, 1000.0), (2, 1, 1000.0), (3, 1, 500.0), (6, 1, 400.0), (2, 2, 1000.0), (3, 2, 1000.0), (6, 2, 500.0)],
@@ -153,6 +153,7 @@ def test_a_replay_sends_the_same_frames_on_the_same_buses(recorded: tuple[Path, 
     assert replay_bus_log(recorded[1], scene, from_sync=from_sync)["status"] == "identical"
 
 
+@pytest.mark.slow
 def test_a_frame_that_is_sent_on_the_other_bus_is_a_difference(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     lines = recorded[1].read_text().splitlines(keepends=True)
     which = next(n for n, line in enumerate(lines) if n > 400 and " right 201#" in line)
@@ -181,6 +182,7 @@ def test_a_log_with_the_channels_of_the_interfaces_is_understood(recorded: tuple
     assert replay_bus_log(tmp_path / "b.log", load_scene(TWO_BUSES, channels))["status"] == "identical"
 
 
+@pytest.mark.slow_but("left-bus_off*", "right-drop*")
 @pytest.mark.parametrize(
     "effect", ["bus_off: [{begin: 50 ms, duration: 1000 s}]", "drop: 1, during: [{begin: 50 ms, duration: 1000 s}]"]
 )

@@ -57,6 +57,7 @@ def test_by_default_a_bristle_errs_by_less_than_a_thousandth_of_its_travel(tmp_p
     assert np.abs(one - other).max() <= 1e-3 * np.ptp(other)
 
 
+@pytest.mark.slow
 def test_a_substep_of_a_whole_number_of_detents_claims_no_small_error(tmp_path: Path) -> None:
     """At 0.1 m/s and 100 Hz it passes 2, then 8 pitches: halves of the step are whole numbers of them too."""
     for pitch, known in ((5e-4, True), (1.25e-4, False)):

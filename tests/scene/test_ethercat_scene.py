@@ -147,6 +147,7 @@ def test_a_count_of_held_torques_that_contradicts_the_host_is_a_no_in_run_and_lo
     assert {"fault", "hold"} < {event["kind"] for event in seen["events"]}
 
 
+@pytest.mark.slow_but("falls_to_safe_op*")
 @pytest.mark.parametrize(
     ("effect", "reason"),
     [("falls_to_safe_op: 0.1 s", StopReason.NMT_STATE_LEFT), ("broken_at: 0.1 s", StopReason.TPDO_LOST)],
@@ -164,6 +165,7 @@ def test_a_fault_of_the_line_ends_a_rig_of_both_kinds_of_bus_without_torque(effe
     assert [drive.torque for drive in experiment.far_side.drives] == [0.0] * 3
 
 
+@pytest.mark.slow
 def test_each_kind_of_bus_has_its_own_faults_in_one_rig() -> None:
     scene = both()
     scene["simulation"]["bus"] = {"lost": "2 %", "drop": "2 %"}
@@ -270,6 +272,7 @@ def test_a_rig_of_a_line_and_a_can_bus_is_commissioned(tmp_path: Path) -> None:
     assert main(["commission", str(mixed), "--yes", "--duration", "1", "--out", str(done)]) == 0
 
 
+@pytest.mark.slow
 def test_a_can_rig_loads_nothing_of_ethercat() -> None:
     modules = loaded_modules(ROOT, scene=str(TWIN), duration=0.02)
     assert "canhaptic.drive.can.servo_drive" in modules

@@ -40,6 +40,7 @@ def demo() -> dict[str, Any]:
 # --- names --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_but("a/b", "a\\x1b*", "")
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_name_that_is_more_than_a_name_is_refused_wherever_it_is_given(name: str) -> None:
     values = demo()
@@ -152,6 +153,7 @@ FIELDS = [
 ]
 
 
+@pytest.mark.slow_but("passivity.sample_time", "passivity.moving_mass", "axes.0.transmission", "simulation.plant.mass")
 @pytest.mark.parametrize(("path", "section"), FIELDS, ids=[path for path, _ in FIELDS])
 def test_a_number_at_the_edge_of_floats_runs_or_is_a_fault(path: str, section: dict[str, Any] | None) -> None:
     for value in EDGES:

@@ -100,6 +100,7 @@ def test_an_unknown_interface_is_refused_with_the_nearest() -> None:
     assert message.endswith("; for Linux's can0 set interface: socketcan and channel: can0")
 
 
+@pytest.mark.slow_but("pcan", "socketcan", "slcan", "ixxat")
 @pytest.mark.parametrize("name", sorted(set(BACKENDS) - {"virtual", "udp_multicast"}))
 def test_an_interface_without_driver_or_device_gives_one_error_of_ours(name: str) -> None:
     from canhaptic.drive.can.door import open_bus

@@ -98,6 +98,7 @@ def test_shipped_scenes_have_no_old_name() -> None:
 # --- logs ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_but("old_guarded")
 @pytest.mark.parametrize("name", NAMES)
 def test_an_old_energy_log_opens_and_its_scene_recomputes_to_the_bit(name: str, tmp_path: Path) -> None:
     with EnergyLog.open(unpacked(f"{name}.h5", tmp_path)) as log:
@@ -108,6 +109,7 @@ def test_an_old_energy_log_opens_and_its_scene_recomputes_to_the_bit(name: str, 
         assert log.rows == 80
 
 
+@pytest.mark.slow_but("old_guarded")
 @pytest.mark.parametrize("name", NAMES)
 def test_an_old_bus_log_replays_frame_by_frame_from_its_boot_and_from_its_first_sync(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -138,6 +140,7 @@ def test_an_old_bus_log_that_differs_after_the_read_left_out_is_different(tmp_pa
     assert difference["number"] == place + 1
 
 
+@pytest.mark.slow_but("old_guarded")
 @pytest.mark.parametrize("name", NAMES)
 def test_a_converted_scene_is_the_one_of_its_old_log_and_a_changed_one_is_not(name: str, tmp_path: Path) -> None:
     today, other = scene_of_now(name, tmp_path), tmp_path / "other.yaml"

@@ -135,6 +135,7 @@ def test_real_drives_keep_what_protects_them_from_a_plain_name() -> None:
         load_scene(CONFIGS / "demo.yaml", [*real, "passivity=unprotected"])
 
 
+@pytest.mark.slow_but("passivity.algorithm=unprotected", "passivity={*")
 @pytest.mark.parametrize("override", ["passivity=unprotected", "passivity.algorithm=unprotected",
                                       "passivity={algorithm: unprotected}"])  # fmt: skip
 def test_no_override_takes_the_passivity_controller_from_real_drives(
@@ -160,7 +161,7 @@ def test_no_override_takes_the_passivity_controller_from_real_drives(
     assert capsys.readouterr().out.startswith("handle: NO PASSIVITY CONTROLLER (algorithm: unprotected)")
 
 
-@pytest.mark.slow_but("demo*", "two_handles*")
+@pytest.mark.slow_but("two_handles*", "demo.yaml-environment.type")
 @pytest.mark.parametrize(("scene", "key"), [(scene, key) for scene, key, _ in SWITCHES])
 def test_every_type_can_be_set_or_one_line_says_what_it_needs(scene: str, key: str) -> None:
     """What the line says is then typed: the path leads to a scene."""

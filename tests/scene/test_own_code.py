@@ -61,6 +61,7 @@ def refusal(folder: Path, environment: str, *, allow_code: bool = True) -> str:
     return str(raised.value)
 
 
+@pytest.mark.slow
 def test_an_own_wall_renders_from_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["run", str(folder / "scene.yaml"), "--set", ENVIRONMENT, "--duration", "1", "--pace", "free", "--json"]
     assert main([*words, "--allow-code"]) == 0
@@ -362,6 +363,7 @@ def test_a_sweep_gives_its_workers_the_code_of_the_flag_alone(folder: Path, caps
     assert "is not the code of" in scene_of_row(replace(recipe, cycles=11), row).remark
 
 
+@pytest.mark.slow
 def test_a_varied_value_may_name_code_with_the_flag(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "other.py").write_text(SPRING)
     values = "environment={type: my_wall.py:CenteringSpring, stiffness: 100, damping: 1}"

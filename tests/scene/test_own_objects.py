@@ -19,7 +19,7 @@ class MyWall(Environment):
         return self.stiffness * state
 
 
-@pytest.mark.slow_but("MyWall-200.0")
+@pytest.mark.slow
 @pytest.mark.parametrize(("wall", "stiffness"), [(MyWall, 200.0), (MyWall(stiffness=300.0), 300.0)])
 def test_a_class_or_an_instance_is_an_environment(wall: object, stiffness: float) -> None:
     result = canhaptic.simulate("demo", {"environment": wall}, duration=0.02, progress=False)

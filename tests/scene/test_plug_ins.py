@@ -63,6 +63,7 @@ def forces(sensor: object) -> list[float]:
         return [record.samples[0].torque_applied for record in experiment.rig.records]
 
 
+@pytest.mark.slow
 def test_a_sensor_of_a_package_a_class_and_a_function_indicate_the_same() -> None:
     class Mine(OwnSensor):
         creep: float = 0.02

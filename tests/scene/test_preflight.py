@@ -233,6 +233,7 @@ def test_the_least_restart_is_the_time_after_which_the_rig_has_stopped(rate: flo
     assert _least_restart(can_bus(scene(f"bus.rate={rate}").bus)) == least
 
 
+@pytest.mark.slow_but("19-False", "20-True")
 @pytest.mark.parametrize(("restart_ms", "is_accepted"), [(0, True), (5, False), (19, False), (20, True), (100, True)])
 def test_a_restart_that_the_preflight_accepts_finds_the_rig_stopped(restart_ms: int, is_accepted: bool) -> None:
     """The controller is off from 0.2 s on, for `restart_ms`: frames vanish both ways, as on a controller in bus-off.

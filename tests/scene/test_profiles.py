@@ -45,7 +45,7 @@ def test_every_profile_states_what_is_verified_and_what_is_not(name: str) -> Non
     assert set(profile_values(name)["quirks"]) <= set(_QUIRKS)
 
 
-@pytest.mark.slow_but("generic", "zeroerr_erob", "epos4")
+@pytest.mark.slow_but("generic")
 @pytest.mark.parametrize("name", _profile_names())
 def test_every_profile_runs_whole_with_its_twin_on_our_dictionary(name: str) -> None:
     """The twin shows the vendor ID of the profile, as the real drive does; ours has none."""
@@ -205,6 +205,7 @@ def test_what_the_simulation_says_itself_wins(tmp_path: Path) -> None:
     assert (drive.enable_delay, drive.direction, drive.rated_torque_resolution) == (0.1, 1, 1e-2)
 
 
+@pytest.mark.slow_but("after")
 @pytest.mark.parametrize("read_back", ["before", "after"])
 def test_a_drive_mounted_the_other_way_round_renders_the_same_wall(read_back: str) -> None:
     accounts = []

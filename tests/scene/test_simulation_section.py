@@ -108,6 +108,7 @@ def test_the_method_line_tells_events_and_products(tmp_path: Path) -> None:
         assert f"products per period, {plant.events} event" in line
 
 
+@pytest.mark.slow
 def test_a_run_and_a_check_announce_a_swing_that_makes_holds_dear(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
     path = str(scene_file(tmp_path))
     stop = "simulation.effects=[{type: hard_stop, position: 0.2, stiffness: 1e9 N/m}]"

@@ -104,7 +104,7 @@ def test_in_a_scene_the_measured_torque_is_that_of_the_current_loop(lag: float) 
         rig.stop()
 
 
-@pytest.mark.slow_but("0.0-quirk0", "0.001-quirk1", "0.005-quirk0")
+@pytest.mark.slow_but("0.0-quirk0", "0.001-quirk1")
 @pytest.mark.parametrize("quirk", [[], ["late_following"]])
 @pytest.mark.parametrize("lag", [0.0, 5e-5, 2e-4, 1e-3, 5e-3])
 def test_the_energy_of_a_measured_torque_is_known_to_its_bound(lag: float, quirk: list[str]) -> None:
@@ -121,6 +121,7 @@ def test_the_energy_of_a_measured_torque_is_known_to_its_bound(lag: float, quirk
             assert 0.0 < experiment.cycle.judge.believed_error[0] <= drive.read_back_bound
 
 
+@pytest.mark.slow_but("ids:*")
 @pytest.mark.parametrize("lost", ["direction: to_drive, ids: [0x201]", "ids: [0x181, 0x201]"])
 def test_where_nothing_is_read_back_lost_commands_are_within_the_bound(lost: str) -> None:
     overrides = ["axes.0.read_back=none", "environment.side=above", "environment.stiffness=400"]

@@ -33,6 +33,7 @@ def test_no_hand_as_declared_gets_more_than_it_gave(axes: int, batch: int) -> No
     assert used > 50
 
 
+@pytest.mark.slow_but("5-1")
 @pytest.mark.parametrize(("seed", "axes"), [(5, 1), (34, 1), (5, 2)])
 def test_a_hand_stiffer_than_declared_takes_more_than_it_gave(seed: int, axes: int) -> None:
     rig = replace(random_rig(seed), axes=axes)

@@ -132,6 +132,7 @@ def run(name: str, cycles: int, damping: float = 1.0, turn: float = 0.03, of: st
     return controller, found
 
 
+@pytest.mark.slow_but("unprotected-*", "passivity_observer-path*", "energy_tank-cup*")
 @pytest.mark.parametrize("of", NETWORKS)
 @pytest.mark.parametrize("name", ["unprotected", "passivity_observer", "energy_tank"])
 def test_the_account_of_a_group_without_a_certificate_closes(name: str, of: str) -> None:
@@ -171,6 +172,7 @@ EQUAL: list[tuple[str, dict[str, Any]]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow_but("*declared0", "*declared1", "guarded-declared5", "guarded-declared8")
 @pytest.mark.parametrize(("name", "declared"), EQUAL)
 def test_two_equal_axes_are_one_axis_with_twice_the_energy(
     name: str, declared: dict[str, Any], monkeypatch: pytest.MonkeyPatch

@@ -54,6 +54,7 @@ def _booked(settings: AdmittanceProperties, first: float, last: float, mean: flo
     return energy, port.uncertainty
 
 
+@pytest.mark.slow_but("True")
 @pytest.mark.parametrize("is_mean", [False, True])
 def test_no_random_hold_gives_less_than_is_booked(is_mean: bool) -> None:
     random, reached = np.random.default_rng(4), 0.0

@@ -72,6 +72,7 @@ def test_the_links_of_the_five_bar_keep_their_lengths(assembly):
     assert sides == {assembly == "up"}
 
 
+@pytest.mark.slow_but("five_bar", "polar", "transmission")
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_work_at_the_motors_is_work_in_task_space_to_the_curvature_of_the_map(name):
     """|tau . dq - F . dx| <= |F| c |dq|^2 / 2, c the largest second derivative near: measured order 2 in dq."""

@@ -114,6 +114,7 @@ def test_friction_of_one_axis_is_not_hidden_by_the_motion_of_another():
     assert least >= -1e-3 - 1e-9
 
 
+@pytest.mark.slow_but("68", "202")
 @pytest.mark.parametrize("seed", [51, 68, 202, 218])
 def test_what_a_mover_takes_of_a_torque_under_way_is_kept_for_it(seed):
     """0.05, 1.7, 2.6 and 2.2 mJ came out while it was certified with the torque and then spent on the next one."""
@@ -251,7 +252,7 @@ FIVE_BARS = {
 }
 
 
-@pytest.mark.slow_for("spring-0", "plane-0", "spring-1", "stiff-1")
+@pytest.mark.slow_but("stiff-0")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("environment", FIVE_BARS)
 def test_a_fast_five_bar_near_its_singular_poses_gives_out_nothing(environment, delay):

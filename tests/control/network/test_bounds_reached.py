@@ -43,6 +43,7 @@ class Mass:
         return moved
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("losses", [1, 2, 4])
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize(("velocity", "mover"), [(-0.02, 0.0), (0.0, 0.0), (0.05, 0.0), (0.05, 0.02), (0.0, -0.3)])
@@ -119,6 +120,7 @@ def held(torques):
     return memory, GroupHolds([0.0], [0.0], [torques[-1]], lost, [])
 
 
+@pytest.mark.slow_but("3.0-1.5-3.0", "60.0-*")
 @pytest.mark.parametrize(
     ("friction", "pull", "largest"),
     [(0.0, 0.0, 3.0), (0.0, PULL, 3.0), (3.0, 0.0, 3.0), (3.0, PULL, 3.0), (60.0, 0.0, 1e-3)],

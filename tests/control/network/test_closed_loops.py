@@ -195,7 +195,7 @@ ENVIRONMENTS = {
 }
 
 
-@pytest.mark.slow_but("8.0-handles-1", "8.0-sphere-1", "8.0-path-1")
+@pytest.mark.slow_but("8.0-sphere-1", "8.0-path-1")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 @pytest.mark.parametrize("hand_force", [0.0, 8.0])

@@ -37,7 +37,7 @@ def coupled_run(duration, loss, seed, **own):
     return plant.least, abs(float(plant.q[0] - plant.q[1])), math.sqrt(squares / cycles), lost / cycles
 
 
-@pytest.mark.slow_for("0-0.0003", "4-0.002")
+@pytest.mark.slow
 @pytest.mark.parametrize(("max_consecutive_losses", "rms"), [(0, 3e-4), (1, 8e-4), (4, 2e-3)])
 def test_two_handles_keep_together_and_passive_while_frames_are_lost(max_consecutive_losses, rms):
     """From the first motion on, at an empty account; uncoupled they would be 22 mm (rms) apart."""

@@ -189,14 +189,14 @@ def test_numbers_at_the_edge_of_the_range_give_torques_or_a_clear_error(losses):
     for environment in (EXAMPLE, Box(stiffness=2000.0, damping=5.0, lower=(-0.01, -0.01), upper=(0.01, 0.01))):
         controller = group(environment, known=known, delay=1, max_consecutive_losses=losses)
         held = [0.0, 0.0]
-        for _ in range(300):
+        for _ in range(100):
             try:
                 held = list(controller.step([rng.choice(edge), rng.choice(edge)], held).torques)
             except ControlError:
                 held = [0.0, 0.0]
             assert all(abs(torque) <= 2.0 for torque in held)
             felt += any(held)
-    assert felt > 50
+    assert felt > 15
 
 
 @pytest.mark.parametrize("algorithm", ["guarded", "step_scaling"])

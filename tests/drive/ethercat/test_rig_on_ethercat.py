@@ -49,6 +49,7 @@ def test_a_run_ends_with_disabled_drives_in_pre_op_without_sync0_and_what_was_wr
     assert [axis.disagreement for axis in b.axes] == ["", ""]
 
 
+@pytest.mark.slow_but("1")
 @pytest.mark.parametrize("frames", [1, 2])
 def test_lost_and_late_frames_cost_samples_and_the_counts_of_held_torques_agree(frames: int) -> None:
     effects = CableEffects(late=0.02, lost=0.02, answer_lost=0.02, low_counter=0.02)
@@ -65,6 +66,7 @@ def is_off(b: Bench) -> bool:
     return [(drive.state, drive.torque, drive.al_state) for drive in b.drives] == [(DISABLED, 0.0, PRE_OP)] * 2
 
 
+@pytest.mark.slow_but("40000")
 @pytest.mark.parametrize("drift", [40_000, -40_000])  # [ppb]: the counts would show the faster one, and only later
 def test_a_clock_that_follows_no_other_ends_the_run_before_a_hold_is_counted_otherwise(drift: int) -> None:
     b = Bench(2, clocks=(ClockParameters(), ClockParameters(drift, 77_777, has_servo=False)))
@@ -166,6 +168,7 @@ def test_the_watchdog_of_the_sync_manager_is_that_of_the_bus_unless_the_axis_has
     b.rig.stop()
 
 
+@pytest.mark.slow_but("700000")
 @pytest.mark.parametrize("drift", [700_000, -700_000])
 def test_the_sample_times_of_a_clock_that_drifts_by_a_whole_one_are_counted_exactly(drift: int) -> None:
     bench = Bench(drift=drift)
@@ -179,6 +182,7 @@ def test_the_sample_times_of_a_clock_that_drifts_by_a_whole_one_are_counted_exac
     bench.rig.stop()
 
 
+@pytest.mark.slow_but("0.4", "0.6")
 @pytest.mark.parametrize("late", [0.4, 0.6, 0.7])
 def test_a_host_that_is_held_up_before_its_frame_counts_the_holds_of_the_drives(late: float) -> None:
     bench = Bench()

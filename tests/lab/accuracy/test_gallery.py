@@ -84,7 +84,7 @@ def test_the_committed_gallery_is_what_every_method_does(name):
     check_rows(side.rows, committed(name)["plant"], 10.0 * FLOOR * side.travel)
 
 
-@pytest.mark.slow_but("paper_wall")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_no_setting_of_the_ladder_is_cheaper_than_the_advised_one_and_keeps_the_tolerance(name):
     everything, anew = committed(name)["plant"], {row["setting"]: row for row in measured(name).rows}

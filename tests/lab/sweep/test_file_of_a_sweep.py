@@ -235,6 +235,7 @@ def test_two_sweeps_cannot_write_one_folder(demo, tmp_path):
     assert "another study writes it" in found.stderr
 
 
+@pytest.mark.slow
 def test_a_folder_is_neither_overwritten_nor_mixed_with_another_sweep(demo, tmp_path):
     path = tmp_path / "a"
     sweep(demo, VARY, path, **ONE)
