@@ -12,7 +12,8 @@ from typing import Any, Final
 
 from canhaptic.lab.render.accuracy_picture import draw_accuracy
 from canhaptic.lab.studies.accuracy.accuracy_table import advice, advice_lines, length
-from canhaptic.lab.studies.accuracy.study import AccuracyStudy, chosen_part
+from canhaptic.lab.studies.accuracy.studied_port import chosen_part
+from canhaptic.lab.studies.accuracy.study import AccuracyStudy
 from canhaptic.scene.load import load_scene
 from tools.bench.report import write_result
 from tools.page_part import with_part

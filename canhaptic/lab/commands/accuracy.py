@@ -6,7 +6,8 @@ from canhaptic.cli.options import scene_of
 from canhaptic.host.stop_signal import StopSignal
 from canhaptic.lab.commands.results import check_files, show, write_files
 from canhaptic.lab.studies.accuracy.accuracy_table import accuracy_report, markdown
-from canhaptic.lab.studies.accuracy.study import UNITS, study_accuracy
+from canhaptic.lab.studies.accuracy.studied_port import UNITS
+from canhaptic.lab.studies.accuracy.study import study_accuracy
 from canhaptic.scene.method import dear_holds
 from canhaptic.view.terminal import run_progress, write_file, write_note
 

@@ -23,7 +23,7 @@ from canhaptic.lab.judge.reference_group import mechanism_model
 from canhaptic.lab.judge.solvers import located
 from canhaptic.lab.loop.axis_loop import at_rate
 from canhaptic.lab.reference import continuous_motion, group_model
-from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, variants
+from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, settings_now, variants
 from canhaptic.lab.studies.accuracy.plant_solvers import OURS, plants_of
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy
 from canhaptic.lab.studies.accuracy.timing import ProcessorTime
@@ -180,6 +180,11 @@ def test_a_stage_that_sticks_and_slides_is_the_exact_one() -> None:
     assert np.abs(np.hstack([motion.position, motion.velocity]) - found).max() < 1e-9
     works = [sum(getattr(exact.energy(axis), of) for axis in (0, 1)) for of in ("motor", "user")]
     assert (motion.motor[-1], motion.user[-1]) == pytest.approx(works, abs=1e-9)
+
+
+def test_a_group_names_its_present_settings_like_an_axis() -> None:
+    now = settings_now(scene_of("xy_box"))
+    assert (now["torque step"], now["encoder count"]) == ("0.01 N", "1e-06 m")
 
 
 def test_a_group_is_compiled_where_one_size_of_it_runs_long_enough() -> None:

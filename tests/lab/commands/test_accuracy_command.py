@@ -17,7 +17,8 @@ import yaml
 from canhaptic.cli.main import main
 from canhaptic.lab.studies.accuracy import timing
 from canhaptic.lab.studies.accuracy.accuracy_table import price_lines, wrapped
-from canhaptic.lab.studies.accuracy.study import AccuracyStudy, length_of
+from canhaptic.lab.studies.accuracy.studied_port import length_of
+from canhaptic.lab.studies.accuracy.study import AccuracyStudy
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import torque_history
 

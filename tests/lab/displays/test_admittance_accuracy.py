@@ -10,7 +10,7 @@ from canhaptic.cli.main import main
 from canhaptic.errors import InputError
 from canhaptic.lab.batch.scalar import run_display
 from canhaptic.lab.render.accuracy_picture import draw_accuracy
-from canhaptic.lab.studies.accuracy.loop_sensitivity import exact_display, study_display, why_no_equations
+from canhaptic.lab.studies.accuracy.ideal_loop import IdealStudy, exact_motion, why_no_equations
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import simulation_of
 
@@ -23,12 +23,12 @@ NODE = SCENES / "force_node.yaml"
 def test_the_plant_is_that_of_a_solver_which_shares_nothing_with_it(name: str) -> None:
     scene = load_scene(SCENES / f"{name}.yaml")
     run, simulation = run_display(scene, 60), simulation_of(scene.axes[0])
-    exact = exact_display(simulation, run.torque[1:, 0].tolist(), scene.bus.sample_time_ns)
+    exact = exact_motion(simulation, run.torque[1:, 0].tolist(), scene.bus.sample_time_ns)
     assert np.abs(run.motion[1:, 0, :1] - exact.position).max() < 1e-12
     assert np.abs(run.interaction[1:] - exact.user).max() < 1e-10
     assert max(run.interaction) > 1e-4
     lighter = load_scene(SCENES / f"{name}.yaml", ["simulation.plant.mass=1.9 kg"])
-    wrong = exact_display(simulation_of(lighter.axes[0]), run.torque[1:, 0].tolist(), scene.bus.sample_time_ns)
+    wrong = exact_motion(simulation_of(lighter.axes[0]), run.torque[1:, 0].tolist(), scene.bus.sample_time_ns)
     assert np.abs(run.motion[1:, 0, :1] - wrong.position).max() > 1e-7
 
 
@@ -53,10 +53,10 @@ def test_a_group_and_what_has_no_equations_are_studied_as_far_as_they_go() -> No
     friction = ["simulation.effects=[{type: coulomb_friction, kinetic: 2 N, static: 3 N}]", "duration=0.1"]
     scene = load_scene(SCENES / "guided_path.yaml", friction)
     assert why_no_equations(simulation_of(scene.axes[0])) == "effect coulomb_friction"
-    found = study_display(scene, "stage", None, lambda: False)
+    found = IdealStudy(scene, "stage").run()
     assert "no equations" in found["plant"][0]["status"]
     assert found["loop"][0]["status"] == "ok"
-    stopped = study_display(scene, None, None, lambda: True)
+    stopped = IdealStudy(scene, stop=lambda: True).run()
     assert (stopped["status"], stopped["loop"]) == ("stopped", [])
 
 

@@ -4,9 +4,10 @@ The advice is the cheapest setting within a tolerance; the tables show the Paret
 choices depend on errors and evaluations, which are equal in every run; times only sort the effects.
 """
 
+import math
 import textwrap
-from collections.abc import Mapping, Sequence
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -22,9 +23,6 @@ from canhaptic.view.table import Cell, Styled, Table
 
 PLANT_HEADS: Final = (
     "method", "setting", "position", "force", "energy", "evals /\nperiod", "events", "us /\nperiod", "times\nwork", "",
-)  # fmt: skip
-LOOP_HEADS: Final = (
-    "changed", "to", "position", "force", "energy", "energy\nunsure", "control\nthread", "of T", "bus\nload",
 )  # fmt: skip
 EFFECT_HEADS: Final = (
     "left out", "order", "position", "force", "energy", "evals\nsaved", "us\nsaved", "error\nper us",
@@ -44,18 +42,19 @@ _IDLE: Final = "sends no torque"
 
 
 def accuracy_report(result: Row, *, tables: bool = False) -> RenderableType:
-    """Return the answer, the heading and, if requested, the tables, for a terminal; for displays always the table."""
-    if is_of_display(result):
-        return Group(*(Text(f" {line}") for line in display_heading(result)), display_accuracy_table(result))
-    said = [*advice_lines(result), "", *price_lines(result), ""]
-    said += heading(result) if tables else [*heading(result)[:2], *result["remarks"], "all tables: --tables"]
-    shown = [Text(f" {part}") for line in said for part in wrapped(line)]
-    return Group(*shown, *(accuracy_tables(result) if tables else ()))
+    """Return what is said of a study and, if requested or if it has no advice, its tables, for a terminal."""
+    *told, head = sections(result).values()
+    if told and not tables:
+        head = [*head[:2], *result["remarks"], "all tables: --tables"]
+    lines = [*(line for part in told for line in (*part, "")), *head]
+    shown = [Text(f" {part}") for line in lines for part in wrapped(line)]
+    return Group(*shown, *(accuracy_tables(result) if tables or not told else ()))
 
 
-def is_of_display(result: Row) -> bool:
-    """Whether a study is about an admittance display."""
-    return "tolerance" not in result
+def sections(result: Row) -> dict[str, list[str]]:
+    """Return what is said of a study, by title; last, without a title, the heading of its tables."""
+    told = {"Advice": advice_lines(result), "Prices": price_lines(result)} if "advice" in result else {}
+    return {**told, "": heading(result)}
 
 
 def wrapped(line: str) -> list[str]:
@@ -118,7 +117,7 @@ def _method_prices(result: Row) -> list[str]:
 def _effect_prices(result: Row) -> list[str]:
     """Return the error and the saving of leaving each effect out."""
     entries = []
-    for row in (result["advice"] or {"effects": ()})["effects"]:
+    for row in effects_of(result):
         if row.get("position_error") is not None:
             saved, spent = row["us_saved_per_period"], row["evaluations_saved_per_period"]
             price = f"{spent:.3g} evaluations" if saved is None or saved <= 0.0 else _time(saved)
@@ -133,15 +132,21 @@ def _loop_prices(result: Row) -> dict[str, list[str]]:
         return {}
     lines: dict[str, list[str]] = {}
     for row in (row for row in result["loop"] if not row["is_scene"]):
-        group = row["group"]
-        now = f"now {result['now'].get(group, 'as it is')}: {_loop_price(base, result, group)}"
-        lines.setdefault(group, [now]).append(f"{row['setting']}: {_loop_price(row, result, group)}")
+        what, to = change(row)
+        now = f"now {result['now'].get(what, 'as it is')}: {_loop_price(base, result, what)}"
+        lines.setdefault(what, [now]).append(f"{to}: {_loop_price(row, result, what)}")
     return lines
+
+
+def effects_of(result: Row) -> Sequence[Row]:
+    """Return the rows of the effects that were left out, the dearest first; none without advice."""
+    found: Sequence[Row] = (result.get("advice") or {"effects": ()})["effects"]
+    return found
 
 
 def base_loop(result: Row) -> Row | None:
     """Return the row of the loop with the scene's own settings; None if that loop does not complete."""
-    return next((row for row in result["loop"] if row["is_scene"] and row["status"] == "ok"), None)
+    return next((row for row in result["loop"][:1] if row["status"] == "ok"), None)
 
 
 def _price(row: Row, result: Row) -> str:
@@ -159,13 +164,13 @@ def _spread(row: Row) -> str:
     return f" (+{100.0 * row['spread']:.0f} %)" if repeats > 1 else " (once)" if repeats else ""
 
 
-def _loop_price(row: Row, result: Row, group: str) -> str:
+def _loop_price(row: Row, result: Row, what: str) -> str:
     """Return the time of the control thread, the bus load if it differs, and the distance from the continuous axis."""
     if _renders_nothing(row):
         return _IDLE
     spent = row.get("control_thread_us")
     parts = [] if spent is None else [_time(spent)]
-    if group == "sample rate":
+    if what == "sample rate":
         parts.append(f"{bus_load(row)}{'' if row['bus_fits'] else ', cycle too long'}")
     stable = row["status"] == "ok"
     parts.append(length(row["position_error"], result["unit"]) if stable else str(row["status"]))
@@ -178,7 +183,7 @@ def bus_load(row: Row, before: str = "bus ") -> str:
 
 
 def _renders_nothing(row: Row) -> bool:
-    return row["status"] == "ok" and not row["largest_torque"]
+    return row["status"] == "ok" and row.get("largest_torque") == 0.0
 
 
 def _time(microseconds: float) -> str:
@@ -188,46 +193,64 @@ def _time(microseconds: float) -> str:
 
 def markdown(result: Row) -> str:
     """Return the report as Markdown, with every table."""
-    if is_of_display(result):
-        lines = [f"{line}  " for line in display_heading(result)]
-        return "\n".join([*lines, "", display_accuracy_table(result).markdown()])
-    lines = ["### Advice", "", *(f"- {line}" for line in advice_lines(result)), ""]
-    lines += ["### Prices", "", *(f"- {line.replace(_GAP, ': ')}" for line in price_lines(result)), ""]
-    lines += [*(f"{line}  " for line in heading(result)), ""]
-    return "\n".join([*lines, *(table.markdown() for table in accuracy_tables(result, wide=True)), ""])
+    lines = []
+    for title, part in sections(result).items():
+        lines += (
+            [f"### {title}", "", *(f"- {plain(line)}" for line in part), ""]
+            if title
+            else [f"{line}  " for line in part]
+        )
+    return "\n".join([*lines, "", *(table.markdown() for table in accuracy_tables(result, wide=True)), ""])
+
+
+def plain(line: str) -> str:
+    """Return a line with a colon after its label."""
+    return line.replace(_GAP, ": ")
 
 
 def heading(result: Row) -> list[str]:
     """Return the heading: the part studied, and its reference."""
-    unit = result["unit"]
     lines = [
-        f"{scene_title(result['scene'])}, {part_of(result)}: "
-        f"{result['holds']} sample times at {si(result['rate'], 'Hz', 3)}"
-        f", {result['status']}"
+        f"{scene_title(result['scene'])}, {result['axis']}: {result['holds']} sample times at "
+        f"{si(result['rate'], 'Hz', 3)}, {result['status']}",
+        *_reference_lines(result),
     ]
-    reference = result["reference"]
-    if reference:
-        witness = reference["witness"]
-        apart = "" if witness is None else f"; {witness['method']}: {length(witness['apart'], unit)} apart"
-        lines.append(f"reference: {reference['method']}; travel {length(reference['travel'], unit)}{apart}")
-        agreement = reference["rank_agreement"]
-        if agreement is not None:
-            lines.append(f"evaluations of the equations of motion rank like time: Spearman {agreement:.2f}")
-    if result["workload"]:
-        work = result["workload"]
+    if work := result.get("workload"):
         lines.append(f"fixed workload of this run: {si(work['seconds'], 's', 3)} ({work['what']})")
-    if result["log_us"] is not None:
+    if result.get("log_us") is not None:
         cost = f"{result['log_us']:.1f} us" if result["log_us"] else "less than the spread of its measurement"
         lines.append(f"the energy log costs the control thread {cost} a cycle")
     engines = {row["engine"].partition(":")[0] for row in result["loop"] if "engine" in row}
     if engines:
         lines.append(f"the loops ran in {' and '.join(sorted(engines))}")
-    return [*lines, *result["remarks"]]
+    return [*lines, *result.get("remarks", ())]
 
 
-def part_of(result: Row) -> str:
-    """Return the axis or the group that was studied."""
-    return f"{'group' if result.get('is_group') else 'axis'} {result['axis']}"
+def _reference_lines(result: Row) -> list[str]:
+    """Return what the errors are errors against, and how certain that is."""
+    reference, unit = result["reference"], result["unit"]
+    if not reference:
+        return []
+    if "method" not in reference:
+        against = (
+            f"errors against an ideal display: travel {si(reference['travel'], unit)}, "
+            f"energy {si(reference['energy'], 'J')}; certain to about {si(reference['apart'], unit, 2)}"
+        )
+        return [against, *(f"simulated plant of {row['axis']}: {_plant_words(row, unit)}" for row in result["plant"])]
+    witness, agreement = reference["witness"], reference["rank_agreement"]
+    apart = "" if witness is None else f"; {witness['method']}: {length(witness['apart'], unit)} apart"
+    lines = [f"reference: {reference['method']}; travel {length(reference['travel'], unit)}{apart}"]
+    if agreement is not None:
+        lines.append(f"evaluations of the equations of motion rank like time: Spearman {agreement:.2f}")
+    return lines
+
+
+def _plant_words(row: Row, unit: str) -> str:
+    """Return the errors of a plant that was run by one method, or why it was not compared."""
+    if row["status"] != "ok":
+        return str(row["status"])
+    energy = f", energy {si(row['energy_error'], 'J', 2)}" if "energy_error" in row else ""
+    return f"errors against DOP853: position {si(row['position_error'], unit, 2)}{energy}"
 
 
 def advice_lines(result: Row) -> list[str]:
@@ -279,7 +302,8 @@ def _loop_advice(result: Row) -> str:
         """Whether it is no coarser than the scene, and every finer one is nearer too: one motion may be luck."""
         if row["fineness"] is None:
             return True
-        finer = [r for r in result["loop"] if r["group"] == row["group"] and (r["fineness"] or 0.0) > row["fineness"]]
+        alike = (of for of in result["loop"] if change(of)[0] == change(row)[0])
+        finer = [of for of in alike if (of["fineness"] or 0.0) > row["fineness"]]
         return bool(row["fineness"] > 1.0 and all(is_nearer(other) for other in finer if other["status"] == "ok"))
 
     judged = result.get("judged", "")
@@ -298,15 +322,17 @@ def _change(row: Row, base: Row, unit: str) -> str:
     """Return a change of the loop in words, with its error and what it costs."""
     given = max(0.0, row["energy_given_out"])
     out = f", gives out {si(given, 'J', 2)}" if given > PASSIVE_TOLERANCE else ""
-    if row["group"] == "algorithm" and base["setting"] == _KEPT_BY:
+    what, to = change(row)
+    if what == "algorithm" and base["setting"] == _KEPT_BY:
         out = f"{out}, leaves {_KEPT_BY} and its guarantee"
     price = ", ".join(filter(None, (length(row["position_error"], unit), bus_load(row))))
-    return f"{row['group']}: {row['setting']} ({price}{out})"
+    return f"{what}: {to} ({price}{out})"
 
 
 def _without_effect(result: Row) -> set[str]:
     """Return the algorithms whose run is that without protection to the last digit: they did nothing."""
-    rows = [row for row in result["loop"] if row["status"] == "ok" and (row["group"] == "algorithm" or row["is_scene"])]
+    ran = (row for row in result["loop"] if row["status"] == "ok")
+    rows = [row for row in ran if row["is_scene"] or change(row)[0] == "algorithm"]
     plain = next((row for row in rows if row["setting"] == "unprotected"), None)
     keys = ("position_error", "force_error", "energy_error", "largest_torque", "energy_given_out")
     return {row["setting"] for row in rows if plain and all(row[key] == plain[key] for key in keys)}
@@ -327,19 +353,17 @@ def length(value: float, unit: str) -> str:
 
 def accuracy_tables(result: Row, *, wide: bool = False) -> list[Table]:
     """Return every table; `wide` adds the time per simulated second and its spread to the table of the plant."""
-    unit, floor, plant = result["unit"], _floor(result), result["plant"]
+    unit, floor = result["unit"], _floor(result)
+    plant = [row for row in result["plant"] if "method" in row]
     rows = [[*_plant_cells(row, unit, floor), *(_wall(row) if wide else ())] for row in plant]
-    orders = [[row["method"], _plain(row["declared"]), _fixed(row["fitted"], 2)] for row in result["orders"]]
-    effects = [_effect_cells(row, unit) for row in (result["advice"] or {"effects": ()})["effects"]]
-    felt = any(row["largest_torque"] for row in result["loop"])
-    loop = [_loop_cells(row, unit) for row in result["loop"]] if felt else []
+    orders = [[of["method"], _plain(of["declared"]), _fixed(of["fitted"], 2)] for of in result.get("orders", ())]
+    effects = [_effect_cells(row, unit) for row in effects_of(result)]
     found = [
         _table(" plant: largest error at any SYNC; bold and *: Pareto front of evaluations, the same on every machine",
                (*PLANT_HEADS, *(_WIDE_HEADS if wide else ())), rows, [row["pareto"] for row in plant]),
         _table(" order of the error in the step", ("method", "declared", "fitted"), orders),
         _table(" effects: what leaving one out does", EFFECT_HEADS, effects),
-        _table(" loop: largest difference from the continuous-time loop, one thing changed; !: cycle too long",
-               LOOP_HEADS, loop, [row["is_scene"] for row in result["loop"]]),
+        _loop_table(result),
     ]  # fmt: skip
     return [table for table in found if table.rows]
 
@@ -388,16 +412,83 @@ def _effect_cells(row: Row, unit: str) -> list[str]:
     ]  # fmt: skip
 
 
-def _loop_cells(row: Row, unit: str) -> list[str]:
-    thread = row.get("control_thread_us")
-    load = f"{bus_load(row, '')}{'' if row['bus_fits'] else ' !'}"
-    errors = _error_cells(row, unit) if row["status"] == "ok" else [row["status"].partition(":")[0], "", ""]
-    errors = [_IDLE, "", ""] if _renders_nothing(row) else errors
-    return [
-        row["group"], row["setting"], *errors, si(row["energy_uncertainty"], "J", 3),
-        "" if thread is None else f"{thread:.1f} us",
-        "" if thread is None else f"{100.0 * row['thread_share']:.0f} %", load,
-    ]  # fmt: skip
+class _Column(NamedTuple):
+    """A column of the table of the loop; it is shown if a row has its value."""
+
+    head: str
+    key: str
+    text: Callable[[Any, str], str]  # (value, unit of the motion) -> text
+    is_drawn: bool = False  # whether the picture writes it beside the errors
+
+
+def _joule(value: float, _unit: str) -> str:
+    return si(value, "J", 3)
+
+
+def _mass(value: float, unit: str) -> str:
+    return "-" if math.isnan(value) else si(value, mass_unit(unit), 3)
+
+
+_BUS: Final = _Column("bus\nload", "bus", lambda value, _: value, is_drawn=True)
+_COLUMNS: Final = (
+    _Column("position", "position_error", lambda value, unit: length(value, unit)),
+    _Column("force", "force_error", lambda value, unit: si(value, effort_unit(unit), 3)),
+    _Column("energy", "energy_error", _joule),
+    _Column("energy\nunsure", "energy_uncertainty", _joule),
+    _Column("control\nthread", "control_thread_us", lambda value, _: f"{value:.1f} us", is_drawn=True),
+    _Column("of T", "thread_share", lambda value, _: f"{100.0 * value:.0f} %"),
+    _BUS,
+    _Column("mass felt", "mass_felt", _mass, is_drawn=True),
+    _Column("given out", "given_out", _joule, is_drawn=True),
+    _Column("guard acts", "guard_acts", lambda value, _: f"{100.0 * value:.2g} %"),
+    _Column("us per\ncycle", "us_per_cycle", lambda value, _: f"{value:.0f}"),
+)
+
+
+def _loop_table(result: Row) -> Table:
+    """Return one row for each change of the loop; none if no change rendered anything."""
+    rows = [] if all(map(_renders_nothing, result["loop"])) else result["loop"]
+    shown = _columns(rows)
+    cells = [[*change(row), *(_loop_cell(row, column, result["unit"]) for column in shown)] for row in rows]
+    to = "the continuous-time loop" if "advice" in result else "the ideal display"
+    mark = "; !: cycle too long" if _BUS in shown else ""
+    title = f" loop: largest difference from {to}, one thing changed{mark}"
+    heads = ("changed", "to", *(column.head for column in shown))
+    return _table(title, heads, cells, [row.get("is_scene", False) for row in rows])
+
+
+def _columns(rows: Sequence[Row]) -> list[_Column]:
+    return [column for column in _COLUMNS if any(_value(row, column) is not None for row in rows)]
+
+
+def change(row: Row) -> tuple[str, str]:
+    """Return what a row of the loop changes, and to what; with why a run that has errors ended early."""
+    what, to = row.get("group", row.get("changed")), row.get("setting", row.get("to"))
+    is_short = row["status"] != "ok" and row.get("position_error") is not None
+    return str(what), f"{to} (ended: {row['status'][:40]})" if is_short else str(to)
+
+
+def _value(row: Row, column: _Column) -> Any:
+    if column.key == "bus":
+        return f"{bus_load(row, '')}{'' if row['bus_fits'] else ' !'}" if "bus_load" in row else None
+    is_idle = column.key.endswith("_error") and _renders_nothing(row)
+    return None if is_idle else row.get(column.key)
+
+
+def _loop_cell(row: Row, column: _Column, unit: str) -> str:
+    value = _value(row, column)
+    if value is not None:
+        return column.text(value, unit)
+    if column is not _COLUMNS[0]:
+        return ""
+    return _IDLE if _renders_nothing(row) else str(row["status"]).partition(":")[0]
+
+
+def beside_errors(rows: Sequence[Row], unit: str) -> tuple[str, list[str]]:
+    """Return what a picture writes beside the errors of the loop: its heading, and the text of each row."""
+    drawn = [column for column in _columns(rows) if column.is_drawn]
+    texts = [[_loop_cell(row, column, unit) for column in drawn] for row in rows]
+    return ", ".join(column.head.replace("\n", " ") for column in drawn), [", ".join(filter(None, of)) for of in texts]
 
 
 def _error_cells(row: Row, unit: str) -> list[str]:
@@ -416,47 +507,6 @@ def _short(value: float | None, digits: int) -> str:
 
 def _plain(value: int | None) -> str:
     return "exact" if value is None else str(value)
-
-
-DISPLAY_HEADS: Final = ("changed", "to", "position", "energy", "mass felt", "given out", "guard acts", "us per\ncycle")
-
-
-def display_accuracy_table(result: Row) -> Table:
-    """Return one row for each change of the scene."""
-    return Table("", DISPLAY_HEADS, [_display_cells(row, result["unit"]) for row in result["loop"]], keys=2)
-
-
-def display_heading(result: Row) -> list[str]:
-    """Return the heading: the studied part, its reference, and the difference of the plant from a solver."""
-    unit, reference = result["unit"], result["reference"]
-    lines = [
-        f"{scene_title(result['scene'])}, {result['axis']}: {result['holds']} sample times at {result['rate']:g} Hz, "
-        f"{result['status']}",
-        f"errors against an ideal display: travel {si(reference['travel'], unit)}, "
-        f"energy {si(reference['energy'], 'J')}; certain to about {si(reference['apart'], unit, 2)}",
-    ]
-    for row in result["plant"]:
-        text = row["status"]
-        if row["status"] == "ok":
-            energy = f", energy {si(row['energy_error'], 'J', 2)}" if "energy_error" in row else ""
-            text = f"errors against DOP853: position {si(row['position_error'], unit, 2)}{energy}"
-        lines.append(f"simulated plant of {row['axis']}: {text}")
-    return lines
-
-
-def _display_cells(row: Row, unit: str) -> list[str]:
-    if "position_error" not in row:
-        return [row["changed"], f"{row['to']}: refused", *[""] * (len(DISPLAY_HEADS) - 2)]
-    return [
-        row["changed"],
-        row["to"] + ("" if row["status"] == "ok" else f" (ended: {row['status'][:40]})"),
-        si(row["position_error"], unit, 3),
-        si(row["energy_error"], "J", 3),
-        "-" if np.isnan(row["mass_felt"]) else si(row["mass_felt"], mass_unit(unit), 3),
-        si(row["given_out"], "J", 3),
-        f"{100.0 * row['guard_acts']:.2g} %",
-        f"{row['us_per_cycle']:.0f}",
-    ]
 
 
 _ADVICE_CLOCK: Final = 0.05

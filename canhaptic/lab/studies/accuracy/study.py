@@ -13,11 +13,11 @@ setting with the fewest matrix-vector products wins; their number is the same on
 """
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from operator import itemgetter
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -26,126 +26,23 @@ from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.batch import Engine
 from canhaptic.lab.judge.solvers import NotSolvedError
-from canhaptic.lab.loop.axis_loop import microseconds_per_step, parts_of, require_near, under
+from canhaptic.lab.loop.axis_loop import microseconds_per_step
 from canhaptic.lab.reference import continuous_motion
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy import loop_sensitivity, plant_solvers, timing
-from canhaptic.lab.studies.accuracy.accuracy_table import advice, error_per_microsecond, length, pareto, rank_agreement
-from canhaptic.scene.far_side import build_plant
-from canhaptic.scene.method import simulation_of, torque_history
+from canhaptic.lab.studies.accuracy.accuracy_table import advice, error_per_microsecond, pareto, rank_agreement
+from canhaptic.lab.studies.accuracy.ideal_loop import IdealStudy
+from canhaptic.lab.studies.accuracy.studied_port import PortStudy, chosen_part, length_of, require_own_axis
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.sim.plant import AccuracyParameters
-from canhaptic.sim.plant.direct_rig import observed
-
-
-@dataclass(frozen=True, slots=True)
-class StudiedPart:
-    """An axis outside groups, or a group, as the subject of a study.
-
-    Attributes:
-        name: Name of the axis or the group.
-        scene: Scene of the part alone.
-    """
-
-    name: str
-    scene: Scene
-
-    def first_rows(self, holds: int) -> Iterator[str]:
-        """Yield a line for each plant setting: its evaluations, and its difference from the finest setting."""
-        if self.scene.groups:
-            return
-        (axis,), period = self.scene.axes, self.scene.bus.sample_time_ns
-        simulation = simulation_of(axis)
-        torques = torque_history(axis, self.scene, holds, simulation.accuracy)
-        settings = plant_solvers.own_ladder(simulation, period)
-        best = observed(build_plant(replace(simulation, accuracy=settings[-1]), period), torques).position
-        for accuracy in dict.fromkeys((plant_solvers.own_setting(simulation, period), *settings)):
-            rung = plant_solvers.ours(simulation, accuracy, torques, period)
-            motion, evaluations, _ = rung.observe()
-            apart = length(float(np.abs(motion.position - best).max()), axis.parameters.unit)
-            yield f"{rung.setting}: {evaluations / holds:.3g} evaluations per period, {apart} from the finest setting"
-
-    def now(self) -> Row:
-        """Return the scene's own values of the settings that variants change, by kind of change, and its accuracy."""
-        accuracy = AccuracyParameters()
-        if not self.scene.groups:
-            accuracy = plant_solvers.own_setting(simulation_of(self.scene.axes[0]), self.scene.bus.sample_time_ns)
-        as_plain = accuracy.model_dump(include={"event_bits", "substeps"})
-        return {"accuracy": as_plain, **loop_sensitivity.settings_now(self.scene)}
-
-
-def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
-    """Return an axis or a group by name; by default the first axis, or its group.
-
-    Raises:
-        InputError: There is none of that name, or it is not simulated.
-    """
-    require_near(scene)
-    axis = next((axis for axis in scene.axes if name in (None, axis.parameters.name)), None)
-    parts = parts_of(scene)
-    if axis is None and name not in parts:
-        raise InputError(f"{scene.source}: got axis {name!r}, expected one of: {', '.join(parts)}")
-    if axis is not None and not axis.group:
-        require_own_axis(axis, scene)
-    chosen = str(name if axis is None else axis.port)
-    return StudiedPart(chosen, parts[chosen])
-
-
-_LONGEST: Final = 4000
-"""Largest number of sample times that are searched for the second contact."""
-_AFTER: Final = 100
-"""Number of sample times of the second contact that are compared."""
-_JUDGED_WITH: Final = "unprotected"
-"""Algorithm of a study if the scene's own algorithm sends no torque."""
-
-
-class Length(NamedTuple):
-    """The scene that an accuracy study runs, and the number of holds that it compares."""
-
-    scene: Scene
-    holds: int
-    remark: str = ""  # why the scene is not the one that was given
-
-
-def length_of(scene: Scene, name: str | None, duration: float | None = None) -> Length:
-    """Return the length over which a scene is compared: until its second contact, unless a duration is given [s].
-
-    If the algorithm of the scene sends no torque, the unprotected controller is used instead.
-    """
-    part = chosen_part(scene, name)
-    if part.scene.groups:
-        return Length(scene, loop_sensitivity.holds_of(scene, duration))
-    most = loop_sensitivity.holds_of(scene, duration) if duration is not None else _LONGEST
-    if duration is None and scene.run.duration is not None:
-        most = min(_LONGEST, round(scene.run.duration / scene.bus.sample_time))
-    (own,), remark = part.scene.axes, ""
-    begins = _contacts(own, scene, most)
-    if not begins and own.passivity.name != _JUDGED_WITH:
-        [axis] = under(part.scene, _JUDGED_WITH).permitted().axes
-        plain = replace(scene, axes=tuple(axis if of is own else of for of in scene.axes))
-        begins = _contacts(axis, plain, most)
-        if begins:
-            scene, remark = plain, f"this loop gives no torque; judged with {_JUDGED_WITH}"
-    if duration is not None:
-        return Length(scene, most, remark)
-    last = begins[1] + _AFTER if len(begins) > 1 else (begins[0] if begins else 0) + loop_sensitivity.HOLDS
-    return Length(scene, min(most, last), remark)
-
-
-def _contacts(axis: AxisScene, scene: Scene, holds: int) -> list[int]:
-    """Return the sample times at which the torque of an axis begins."""
-    torques = torque_history(axis, scene, holds, simulation_of(axis).accuracy)
-    return [k for k, torque in enumerate(torques) if torque and not (k and torques[k - 1])]
-
 
 DEFAULT_BUDGET: Final = 4.0
 """Time of the processor for the timings of plants [s], in addition to the runs for errors."""
 _ENDS: Final = {"others": 5.0, "own": 7.5, "effects": 8.0, "continuous": 10.0, "loops": 11.0,
                "times": 16.0}  # fmt: skip
 """Time of the processor after which a part of the study ends, with the default budget [s]; a larger one has more."""
-UNITS: Final = 1000
-"""Units of progress in the whole study."""
-_SHARES: Final = {"references": 200, "ladder": 250, "loops": 250, "times": 300}
+_SHARES: Final = {"references": 0.2, "ladder": 0.25, "loops": 0.25, "times": 0.3}
 _BEFORE: Final = 0.5
 """Part of the references' share of the progress bar that a single reference may fill."""
 _TENTH: Final = 0.1
@@ -176,11 +73,8 @@ def study_accuracy(
     Raises:
         InputError: No axis or group has this name, or it is not simulated.
     """
-    studied = next((of for of in scene.axes if axis in (None, of.parameters.name, of.port)), None)
-    if studied is not None and studied.parameters.causality is not IMPEDANCE:
-        return loop_sensitivity.study_display(
-            scene, axis, duration, stop, lambda share: progress and progress(round(UNITS * share))
-        )
+    if chosen_part(scene, axis).scene.ports[0].causality is not IMPEDANCE:
+        return IdealStudy(scene, axis, duration=duration, progress=progress, stop=stop).run()
     chosen = length_of(scene, axis, duration)
     return AccuracyStudy(
         chosen.scene, axis, duration=chosen.holds * scene.bus.sample_time, judged=chosen.remark, progress=progress,
@@ -189,60 +83,41 @@ def study_accuracy(
 
 
 @dataclass
-class AccuracyStudy:
-    """Runs an accuracy study and stores its results.
+class AccuracyStudy(PortStudy):
+    """Study of an axis or a group: its plant, its loop beside the continuous one, and the times of both.
 
     Args:
-        scene: Simulated scene.
-        axis: Name of an axis or a group; the first axis by default, or its group.
+        scene: See `PortStudy`.
+        axis: See `PortStudy`.
+        duration: See `PortStudy`.
+        progress: See `PortStudy`.
+        stop: See `PortStudy`.
         tolerance: Largest error of the position [m or rad]; by default from the scene's `accuracy: {auto: ...}`,
             else a tenth of an encoder count.
-        duration: Length of the comparison [s]; by default 1000 sample times, or the scene's if that is shorter; see
-            `length_of`.
         budget: Time of the processor for timings [s]; 0 for none.
         engine: Engine of the loops; "auto" compiles them where that is worthwhile.
-        progress: Called with the number of units done, of `UNITS`.
-        stop: Polled often; true stops the study.
         judged: Remark from `length_of`.
         say: Called with each of the first rows, which need no reference, as soon as it is ready.
     """
 
-    scene: Scene
-    axis: str | None = None
     _: KW_ONLY
     tolerance: float | None = None
-    duration: float | None = None
     budget: float = DEFAULT_BUDGET
     engine: Engine = "auto"
-    progress: Callable[[int], None] | None = None
-    stop: loop_sensitivity.Stop = lambda: False
     judged: str = ""
     say: Callable[[str], None] | None = None
 
     def __post_init__(self) -> None:
-        self.part, self.holds = chosen_part(self.scene, self.axis), loop_sensitivity.holds_of(self.scene, self.duration)
+        super().__post_init__()
         counts = max(abs(axis.parameters.counts_per_unit) for axis in self.part.scene.axes)
         self._tolerance = self.tolerance or self.scene.accuracy_tolerance or _TENTH / counts
-        self._done = 0
         self._plant: plant_solvers.Plants | None = None
         self._loops: list[loop_sensitivity.LoopRow] = []
-        self._loop_rows: list[Row] = []
         self._times: dict[str, timing.ProcessorTime] = {}
-        self._status = "stopped"
         self._run_price: timing.RunPrice | None = None
         self._remarks: list[str] = []
         self._clock = ProcessorClock()
         self._begin = self._clock.now()
-
-    def run(self) -> Row:
-        """Return the result; `status` is "completed", or "stopped" with all results so far."""
-        try:
-            self._measure()
-            self._status = "completed"
-        except InputError:
-            if not self.stop():
-                raise
-        return self.result()
 
     def _measure(self) -> None:
         if self.say is not None:
@@ -303,7 +178,7 @@ class AccuracyStudy:
                 return
             rendered = loop_sensitivity.loop_row(variant, exact, step, self.holds * period, self._check, engine)
             self._loops.append(rendered)
-            self._loop_rows.append(self._loop_row(rendered))
+            self._rows.append(self._loop_row(rendered))
             self._advance("loops", (number + 1) / len(every))
 
     def _left(self, part: str) -> float:
@@ -329,16 +204,10 @@ class AccuracyStudy:
 
         return stop
 
-    def _check(self) -> None:
-        if self.stop():
-            raise InputError("stopped")
-
     def _advance(self, part: str, share: float, begin: float = 0.0) -> None:
         names = list(_SHARES)
         before = sum(_SHARES[name] for name in names[: names.index(part)])
-        self._done = max(self._done, min(UNITS, round(before + _SHARES[part] * min(1.0, begin + share))))
-        if self.progress is not None:
-            self.progress(self._done)
+        self._reach(before + _SHARES[part] * min(1.0, begin + share))
 
     def _time(self) -> None:
         budget = min(self.budget, max(0.25 * self.budget, self._left("times")))  # a loop was compiled for long
@@ -364,7 +233,7 @@ class AccuracyStudy:
         except CanHapticError as error:
             exchange = None
             self._remark(f"the cycle was not timed: {error}")
-        for index, row in enumerate(self._loop_rows):
+        for index, row in enumerate(self._rows):
             step = each.get(str(index))
             row["controller_us"] = step
             row["control_thread_us"] = thread = None if step is None or exchange is None else step + exchange
@@ -420,7 +289,7 @@ class AccuracyStudy:
             "reference": plant and self._reference(plant, rows),
             "plant": rows,
             "orders": orders,
-            "loop": self._loop_rows,
+            "loop": self._rows,
             "advice": None
             if plant is None or self._status == "stopped"
             else advice(rows, self._effect_rows(plant), self._tolerance, orders),
@@ -521,17 +390,3 @@ def choose(axis: AxisScene, scene: Scene, tolerance: float) -> Row:
         )
     chosen: Row = found["chosen"]
     return chosen
-
-
-def require_own_axis(axis: AxisScene, scene: Scene) -> None:
-    """Refuse an axis without its own plant and its own controller.
-
-    Raises:
-        InputError: The axis belongs to a group, or moves a mechanism together with others.
-    """
-    if axis.group or axis.simulated_drive is not None:
-        what = f"group {axis.group} renders on it" if axis.group else "it moves a mechanism with other drives"
-        raise InputError(
-            f"{scene.source}: axis {axis.parameters.name}: {what}, expected an axis with its own plant and "
-            "algorithm; to run the scene, give accuracy: {event_bits, substeps} instead of auto"
-        )
