@@ -27,7 +27,7 @@ from canhaptic.logs.decoder import BusDecoder
 from canhaptic.logs.writer_process import BusLogWriter
 from canhaptic.scene.build import build
 from canhaptic.scene.buses import can_bus
-from canhaptic.scene.far_side import build_drive_group
+from canhaptic.scene.far_side import build_far_end
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_ports, build_servo_drive
@@ -189,7 +189,7 @@ def record(plan: Plan, path: Path) -> str:
     channel = private_channel()
     writer = BusLogWriter(path, "vcan0", pace="free")
     with LossyBus(channel, plan.loses) as far_bus, VirtualBus(channel=channel, preserve_timestamps=True) as near_bus:
-        group = build_drive_group(scene, far_bus)
+        group = build_far_end(scene, None, far_bus)[0]
         link = Link(near_bus, VirtualClock([group]), writer)
         drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
         rig = Rig(can_buses(link, drives, can_bus(scene.bus)), drives, scene.bus)

@@ -378,7 +378,6 @@ def _realtime(scene: Scene) -> dict[str, str]:
 
 
 def _without_empty(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values without None and empty entries."""
     return {
         key: _without_empty(entry) if isinstance(entry, Mapping) else entry
         for key, entry in values.items()

@@ -1,6 +1,7 @@
 """`canhaptic check-eds FILE`: whether the drive of an EDS or DCF can be used, and the keys to configure by hand."""
 
 import argparse
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
@@ -183,13 +184,13 @@ def _print_brief(console: Console, found: Survey) -> None:
 
 def _object_table(found: Survey) -> Table:
     rows: list[list[Cell]] = []
-    group = ""
-    for row in found.rows:
-        if row.group != group:
-            rows.append([])
-        text = "see below" if row.item == "map" and row.verdict is Verdict.FIT else row.text
-        rows.append([row.group if row.group != group else "", row.item, WORDS[row.verdict], row.stated, text])
-        group = row.group
+    for heading, below in groupby(found.rows, lambda row: str(row.group)):
+        rows.append([])
+        shown = heading
+        for row in below:
+            text = "see below" if row.item == "map" and row.verdict is Verdict.FIT else row.text
+            rows.append([shown, row.item, WORDS[row.verdict], row.stated, text])
+            shown = ""
     return Table("what the dictionary states", ("", "object", "", "stated", "meaning"), rows)
 
 

@@ -54,7 +54,6 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _hands_off(scene: Scene) -> Scene:
-    """Return the scene without simulated hands."""
     handles = ((axis, axis.simulation and replace(axis.simulation, user=None)) for axis in scene.axes)
     return replace(scene, axes=tuple(replace(axis, simulation=handle) for axis, handle in handles))
 

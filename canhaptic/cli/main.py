@@ -23,7 +23,7 @@ from canhaptic.errors import CanHapticError, InputError, OverrideWarning
 from canhaptic.registry import nearest
 from canhaptic.view.terminal import failure, leave_closed_terminal, write_failure, write_json, write_note
 
-COMMANDS: Final = {name: of["about"] for name, of in table().items() if "group" in of}
+COMMANDS: Final = {name: of["about"] for name, of in table().items() if "heading" in of}
 """Subcommand -> its description; old names are left out."""
 _BROKEN_PIPE: Final = 1
 INTERRUPTED: Final = 130
@@ -101,17 +101,16 @@ def _run(words: list[str], name: str) -> int:
 
 
 def _exits(of: dict[str, Any]) -> str:
-    """Return the exit statuses of a command in words."""
     return "; ".join(filter(None, ("0 success", of.get("exits", ""), "2 bad input")))
 
 
 def _overview() -> str:
-    """Return the commands in their groups, with an example of each."""
+    """Return the commands below their headings, with an example of each."""
     lines = list[str]()
-    for group in dict.fromkeys(of["group"] for of in table().values() if "group" in of):
-        lines += [f"{group}:"]
+    for heading in dict.fromkeys(table()[name]["heading"] for name in COMMANDS):
+        lines += [f"{heading}:"]
         for name, of in table().items():
-            if of.get("group") == group:
+            if of.get("heading") == heading:
                 lines += [f"  {name:<11} {of['about']}", f"{'':<16}{of['example']}"]
     return "\n".join(
         [*lines, "", "exit status: 0 success, 1 a check failed, 2 bad input, 3 drive or link, 128 + n signal n"]

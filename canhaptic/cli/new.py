@@ -80,7 +80,6 @@ def _write_key(path: Path) -> None:
 
 
 def _of_line(arguments: argparse.Namespace) -> int:
-    """Write the scene of a drive on an EtherCAT line."""
     from canhaptic.drive.ethercat.esi_survey import surveyed
 
     if arguments.display is not None:

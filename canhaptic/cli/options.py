@@ -36,19 +36,18 @@ def table() -> dict[str, Any]:
 
 def add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of a subcommand."""
-    groups: dict[str, Any] = {}
+    chosen: dict[str, Any] = {"": parser}
     for argument, given in table()[name]["arguments"].items():
         said = {"action": "store_true", "help": given} if isinstance(given, str) else dict(given)
-        group = said.pop("one_of", "")
-        if group and group not in groups:
-            groups[group] = parser.add_mutually_exclusive_group()
+        if (one_of := said.pop("one_of", "")) not in chosen:
+            chosen[one_of] = parser.add_mutually_exclusive_group()
         if "limits" in said:
             said["type"] = _whole(*said.pop("limits"))
         elif "type" in said:
             said["type"] = _READERS[said["type"]]
         if isinstance(said.get("metavar"), list):
             said["metavar"] = tuple(said["metavar"])
-        groups.get(group, parser).add_argument(argument, **said)
+        chosen[one_of].add_argument(argument, **said)
 
 
 def scene_of(arguments: argparse.Namespace, *, beyond_bus: bool = False) -> "Scene":
@@ -193,8 +192,6 @@ def _delays(text: str) -> list[int]:
 
 
 def _whole(least: int, most: int) -> Callable[[str], int]:
-    """Return a parser of whole numbers within limits."""
-
     def read(text: str) -> int:
         if not _DIGITS.fullmatch(text) or not least <= int(text) <= most:
             raise argparse.ArgumentTypeError(f"got {text!r}, expected a whole number from {least} to {most}")

@@ -33,7 +33,6 @@ def execute(arguments: argparse.Namespace) -> int:
 
 
 def _replay_buses(arguments: argparse.Namespace) -> int:
-    """Replay the log of CAN buses."""
     if arguments.junit is not None:
         check_place(arguments.junit, force=True)
     scene, dry_run = _recorded_scene(arguments)
@@ -75,7 +74,6 @@ def _recorded_scene(arguments: argparse.Namespace) -> tuple[Scene, bool]:
 
 
 def _replay_line(arguments: argparse.Namespace) -> int:
-    """Replay the log of an EtherCAT line."""
     path, (scene, dry_run) = arguments.bus_log, _recorded_scene(arguments)
     is_line = kind_of(scene.bus) != "can" and len(scene.buses) == 1
     result = replay_line(path, scene, dry_run=dry_run, cycles=cycles_on_line(path, scene) if is_line else None)
@@ -142,7 +140,6 @@ def _coverage_report(covers: Covered, *, quick: bool) -> list[Text]:
 
 
 def _replay_report(result: ReplayResult) -> list[Text]:
-    """Return the outcome of a replay as lines of text."""
     difference, frames = result["difference"], result["frames"]
     start = "from the boot of the drives" if result["start"] == "boot" else "from the first SYNC with all axes enabled"
     played = f"{frames['compared']} frames of the master compared, {frames['played']} frames of the drives replayed"

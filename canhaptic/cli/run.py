@@ -155,7 +155,6 @@ def _require_allowed(scene: Scene, most: float) -> None:
 
 
 def _withheld(result: RunResult) -> str:
-    """Return in words the torque that a dry run withheld."""
     axes = {name: axis for name, axis in result["ports"].items() if "withheld_torque" in axis}
     largest = [f"{name} {axis['withheld_torque']:.3g} {effort_unit(axis['unit'])}" for name, axis in axes.items()]
     return f"dry run: no torque was sent; the largest would have been: {', '.join(largest)}"

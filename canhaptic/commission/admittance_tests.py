@@ -47,7 +47,7 @@ def commission_displays(session: Session) -> None:
         InputError: Some axes are impedance displays.
         RigError: Drive or link failed; the velocity is zero, every drive that answers is disabled.
     """
-    if any(axis.parameters.admittance is None for axis in session.axes):
+    if len({axis.parameters.causality.kind for axis in session.axes}) > 1:
         text = "has impedance and admittance displays; commission each kind in a scene of its own"
         raise InputError(f"{session.scene.source}: {text}")
     names = ", ".join(axis.parameters.name for axis in session.axes)

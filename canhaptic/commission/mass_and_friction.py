@@ -470,7 +470,6 @@ def time_the_torque(
 
 
 def _declare_lag(session: Session, axis: int, late: tuple[float, float], known: Mapping[str, float]) -> None:
-    """Report the lag, and propose its bounds."""
     declared = session.axes[axis].loop.current_lag or 0.0
     is_kept = late[0] <= SURE * late[1] and _at_most(late) <= declared
     is_kept = is_kept and not _is_lost(session, axis, declared, known)

@@ -129,7 +129,6 @@ def identify_dynamics(session: Session, axis: int, rough_mass: float) -> None:
 
 
 def _report(session: Session, axis: int, found: Dynamics, curve: FrictionCurve | None, shaken: _Shaken | None) -> None:
-    """Report the device and propose the values to declare."""
     if shaken is not None:
         _report_shaft(session, axis, found, shaken)
     rigid = found if shaken is None else shaken.rigid_part(found)
@@ -288,7 +287,6 @@ def _report_weight(session: Session, axis: int, found: Dynamics) -> None:
 
 
 def _unit_of(session: Session, axis: int, key: str) -> str:
-    """Return the unit of a value of `_COMMENTS`."""
     motion = session.axes[axis].parameters.unit
     return MASS_UNITS[motion] if "mass" in key else damping_unit(motion) if "damping" in key else effort_unit(motion)
 

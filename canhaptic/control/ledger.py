@@ -45,7 +45,7 @@ class EnergyLossMeter:
         self.limit, self.allowance, self.energy = limit, allowance, 0.0
         self.floor = -(limit + allowance)
         self._by_speed = [(axis, value / sample_time) for axis, value in zip(self.axes, damping, strict=True)]
-        self._is_group = len(self.axes) > 1
+        self._further = self.axes[1:]
         self._positions = dict.fromkeys(self.axes, 0.0)
         self._booked_at = -1
 
@@ -62,8 +62,9 @@ class EnergyLossMeter:
             deadline: Sample times from the first SYNC to this one, skipped SYNCs included.
         """
         booked_at, positions = self._booked_at, self._positions
-        if self._is_group and not all(samples[axis].fresh for axis in self.axes):
-            return False
+        for axis in self._further:  # a hold counts once every axis has shown where it ended
+            if not samples[axis].fresh:
+                return False
         for axis, by_speed in self._by_speed:
             _, position, torque, _, fresh = samples[axis]
             if not fresh:
@@ -71,7 +72,7 @@ class EnergyLossMeter:
             moved = position - positions[axis]
             positions[axis] = position
             if booked_at >= 0:
-                energy = self.energy + -torque * moved  # eq. 2
+                energy = self.energy - torque * moved  # eq. 2
                 self.energy = energy + by_speed * moved * moved / (deadline - booked_at)
         self._booked_at = deadline
         return self.energy < self.floor

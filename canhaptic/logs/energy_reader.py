@@ -214,7 +214,8 @@ class EnergyLog:
         self.far = Quantities(file, "far", self.rows) if "far" in file.names("/") else None
         self.groups = self._groups()
         self.axes = tuple(name for name in self.ports if name not in self.groups)
-        self.accounts = tuple(name for name in self.ports if name not in self.group_of)
+        joint = {axis for axes in self.groups.values() for axis in axes}
+        self.accounts = tuple(name for name in self.ports if name not in joint)
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -287,11 +288,6 @@ class EnergyLog:
     def axes_of(self, name: str) -> tuple[str, ...]:
         """Return the names of the axes of a port."""
         return self.groups.get(name, (name,))
-
-    @property
-    def group_of(self) -> dict[str, str]:
-        """Name of an axis in a group -> name of the group."""
-        return {axis: group for group, axes in self.groups.items() for axis in axes}
 
     @property
     def dry_run(self) -> bool:

@@ -190,7 +190,6 @@ class RecordedLine:
 
 
 def _difference(sent: bytes, recorded: bytes) -> str:
-    """Return where a frame differs from the recorded one."""
     if len(sent) != len(recorded):
         return f"got {len(sent)} bytes, recorded {len(recorded)}"
     at = next(n for n, (one, other) in enumerate(zip(sent, recorded, strict=True)) if one != other)

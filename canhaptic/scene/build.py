@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from canhaptic.scene.coupled import CoupledCycle
     from canhaptic.scene.own_code import CodeProcess
     from canhaptic.sim.bus.faulty_bus import FaultyBus
-    from canhaptic.sim.drive.can.drive_node import DriveGroup, Drives, SimulatedDrive
+    from canhaptic.sim.drive.can.drive_node import Drives, DrivesOnBus, SimulatedDrive
     from canhaptic.sim.drive.ethercat.cable import Cable
     from canhaptic.sim.plant.plant import Plant
 
@@ -129,20 +129,20 @@ def _opened(named: Sequence[BusParameters], stack: ExitStack) -> "list[can.BusAB
 
 def _simulated_side(
     scene: Scene, named: Sequence[BusParameters], stack: ExitStack
-) -> "tuple[list[DriveGroup | Cable], Drives | None]":
+) -> "tuple[list[DrivesOnBus | Cable], Drives | None]":
     """Return the simulated drives of each bus, and of all buses in the order of the axes; none with real drives."""
     if not scene.simulated:
         return [], None
     from canhaptic.scene.far_side import build_far_end
     from canhaptic.sim.drive.can.drive_node import AllDrives
 
-    groups, drives = list["DriveGroup | Cable"](), dict[str, "Iterator[SimulatedDrive]"]()
+    groups, drives = list["DrivesOnBus | Cable"](), dict[str, "Iterator[SimulatedDrive]"]()
     for bus, of in zip(_opened(named, stack), scene.buses, strict=True):
         group, on_bus = build_far_end(scene, of.name, bus)
         groups.append(group)
         drives[of.name] = iter(on_bus)
     if not scene.further_buses and kind_of(scene.bus) == "can":
-        return groups, cast("DriveGroup", groups[0])
+        return groups, cast("DrivesOnBus", groups[0])
     return groups, AllDrives(tuple(next(drives[axis.bus]) for axis in scene.axes))
 
 
@@ -248,7 +248,7 @@ class Experiment:
 
     def _linked(
         self, named: Sequence[BusParameters], buses: "Sequence[can.BusABC | None]",
-        groups: "Sequence[DriveGroup | Cable]", recorded: "Sequence[LoggedFrame] | None", stack: ExitStack,
+        groups: "Sequence[DrivesOnBus | Cable]", recorded: "Sequence[LoggedFrame] | None", stack: ExitStack,
     ) -> "list[Any]":  # fmt: skip
         """Return the rig's side of each bus or line, with its log; one without a bus carries its frames itself."""
         records = [self.bus_log.on(n) if self.bus_log else None for n in range(len(buses))]
@@ -463,7 +463,7 @@ def require_buildable(scene: Scene) -> None:
 
 
 def _build_clock(
-    pace: _Pace, spin_margin: float, groups: "Sequence[DriveGroup | Cable]", faulty: "Mapping[int, FaultyBus]"
+    pace: _Pace, spin_margin: float, groups: "Sequence[DrivesOnBus | Cable]", faulty: "Mapping[int, FaultyBus]"
 ) -> Clock:
     """Return the clock, which also runs the simulated drives and the faults of their buses."""
     peers: list[SimulatedPeer] = [faulty[n].around(group) if n in faulty else group for n, group in enumerate(groups)]

@@ -30,7 +30,7 @@ BUSES: Final = {
         "drive": "canhaptic.drive.can.door:drive_on",
         "cycles": "canhaptic.drive.can.bus_cycle:can_buses",
         "simulated_drive": "canhaptic.sim.drive.can.door:drive_on",
-        "simulated": "canhaptic.sim.drive.can.door:group_of",
+        "simulated": "canhaptic.sim.drive.can.door:bus_of",
     },
     "ethercat": {
         "bus": "canhaptic.drive.ethercat.parameters:EthercatBusParameters",

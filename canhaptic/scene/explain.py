@@ -157,7 +157,6 @@ def _model_in(annotation: object, section: MarkedMapping, owner: type | None) ->
 
 
 def _in_words(found: _KeyLocation, fault: ErrorDetails) -> tuple[SourceLocation, str]:
-    """Return location and text of an error."""
     kind, value = fault["type"], found.value
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         return found.key_at, unknown_key(found.name, found.names)

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from canhaptic.drive.axis_parameters import AxisParameters
     from canhaptic.sim.bus.faulty_bus import BusEffects, FaultyBus
     from canhaptic.sim.drive import SimulatedDriveParameters
-    from canhaptic.sim.drive.can.drive_node import DriveGroup
     from canhaptic.sim.drive.profile.servo import Motor
     from canhaptic.sim.plant.effects import Effect
     from canhaptic.sim.plant.mechanism import Mechanism, MechanismMotor, MechanismParameters
@@ -114,23 +113,8 @@ def with_effects(
     return FaultyBus(bus, effects, bitrate=can_bus(parameters).bitrate, seed=seed, side=side)
 
 
-def build_drive_group(scene: Scene, bus: "can.BusABC", name: str | None = None) -> "DriveGroup":
-    """Return the simulated drives of a scene on one connection to the bus.
-
-    Args:
-        scene: Scene with a `simulation`.
-        bus: Connection to the bus.
-        name: Name of that bus; None for the only one.
-
-    Raises:
-        InputError: The scene has no `simulation`.
-    """
-    group: DriveGroup = build_far_end(scene, name, bus)[0]
-    return group
-
-
 def build_far_end(scene: Scene, name: str | None, bus: "can.BusABC | None" = None) -> tuple[Any, Sequence[Any]]:
-    """Return the simulated drives of one bus together (`DriveGroup`, `Cable`), and each in the order of their axes.
+    """Return the simulated drives of one bus together (`DrivesOnBus`, `Cable`), and each in the order of their axes.
 
     Args:
         scene: Scene with a `simulation`.
@@ -214,7 +198,6 @@ def _friction(effect: Any) -> float:
 
 
 def _bounds_of_mechanism(of: MechanismScene, place: int) -> dict[str, float]:
-    """Return the bounds for one motor of a mechanism, from its bearing or its guide."""
     given: Any = of.mechanism.parameters
     guide = f"_{'xy'[place]}" if of.mechanism.name == "xy_stage" else ""
     friction = getattr(given, f"friction{guide}", None)
@@ -326,23 +309,26 @@ def _drive(parts: MarkedMapping, axis: MarkedMapping, faults: Diagnostics) -> Ma
     for key, value in _twin_of(axis).items():
         if key not in drive:
             drive.put(key, value, axis.value_at("quirks"), axis.value_at("quirks"))
-    _mirror_display(drive, axis)
+    _mirror_scales(drive, axis)
     return drive
 
 
-def _mirror_display(drive: MarkedMapping, axis: MarkedMapping) -> None:
+def _section(owner: MarkedMapping, key: str) -> MarkedMapping:
+    """Return a section; an empty one where there is none, or another value."""
+    section = owner.get(key)
+    return section if isinstance(section, MarkedMapping) else MarkedMapping(owner.mark)
+
+
+def _mirror_scales(drive: MarkedMapping, axis: MarkedMapping) -> None:
     """Give the simulated drive of an admittance display the scales of its axis, unless it has its own."""
-    display = axis.get("admittance")
-    own = drive.get("display", MarkedMapping(drive.mark))
-    if not isinstance(display, MarkedMapping) or not isinstance(own, MarkedMapping):
-        return
-    force = display.get("force")
-    if not isinstance(force, MarkedMapping) or "per_count" not in force:
+    given, own = _section(axis, "admittance"), drive.get("display", MarkedMapping(drive.mark))
+    force = _section(given, "force")
+    if "per_count" not in force or not isinstance(own, MarkedMapping):
         return
     at = axis.value_at("admittance")
     scales, named = own.copy(), {f"force_{key}": force.get(key) for key in ("object", "node", "per_count")}
     named["force_offset_counts"] = force.get("offset_counts", 0.0)
-    named["velocity_counts"] = display.get("velocity_counts")
+    named["velocity_counts"] = given.get("velocity_counts")
     for key, value in named.items():
         if value is not None and key not in scales:
             scales.put(key, value, at, at)

@@ -143,7 +143,6 @@ def _laid_under(choices: Schema, properties: Schema, *required: str) -> Schema:
 
 
 def _with_loop(choices: Schema, defined: Schema) -> Schema:
-    """Return the schema of algorithms, each with the keys of the loop."""
     loop, taken = defined["LoopProperties"]["properties"], _TEXTS["taken"]
     known = {key: loop[key] | ({"taken": taken[key]} if key in taken else {}) for key in LOOP_KEYS}
     for key in RANGES:

@@ -376,8 +376,8 @@ def _loop_in_group(section: MarkedMapping, group: "Members", faults: Diagnostics
     renders = f"group {group.section.get('name')!r} renders on this axis;"
     if section.get("environment") is not None:
         faults.add(section.keys_at["environment"], f"{renders} leave it out")
-    of_group = group.section.get("passivity")
-    loop = of_group if isinstance(of_group, MarkedMapping) else None
+    shared = group.section.get("passivity")
+    loop = shared if isinstance(shared, MarkedMapping) else None
     if (own := faults.section(section, "passivity", ", ".join(LOOP_KEYS))) is None:
         return loop
     for key in own.keys() - set(LOOP_KEYS):

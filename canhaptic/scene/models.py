@@ -628,7 +628,6 @@ def _drop(plain: dict[str, Any], path: str, values: tuple[object, ...]) -> None:
 
 
 def _resolved_axis(axis: dict[str, Any]) -> dict[str, Any]:
-    """Return an axis in the form of the configuration in effect."""
     parameters, bus, drive = axis.pop("parameters"), axis.pop("bus"), axis.pop("simulated_drive")
     del axis["group"], axis["guard"]
     simulation = axis["simulation"] if drive is None else {"drive": drive}

@@ -26,7 +26,6 @@ _PROFILE_KEYS: Final = tuple(sorted(AxisParameters.model_fields.keys() - _OF_THE
 
 
 def _profile_names() -> list[str]:
-    """Return the names of all profiles that come with the package."""
     return sorted(path.stem for path in _PROFILES.glob("*.yaml"))
 
 

@@ -200,7 +200,6 @@ def starter_scene(
 
 
 def _bus(found: Survey, rate: float, adapter: Adapter | None, interface: str, simulate: bool) -> str:
-    """Return the keys of a CAN bus."""
     return _text(
         "of_can",
         interface=_text("virtual")
@@ -309,7 +308,6 @@ def _motion_keys(found: Survey, given: AdmittanceParameters, limit: float, *, ha
 
 
 def _is_mean(dictionary: ObjectDictionary, index: int, subindex: int) -> bool:
-    """Return whether a dictionary names an object as the mean of what its sensor shows."""
     variable = dictionary.get_variable(index, subindex)
     return variable is not None and _MEAN.search(variable.name) is not None
 

@@ -278,7 +278,6 @@ class PortPicture:
 
 
 def _look(name: str) -> dict[str, Any]:
-    """Return colour and label of the line of a quantity."""
     return {"color": ACCOUNT[name].colour, "label": ACCOUNT[name].title}
 
 

@@ -19,7 +19,7 @@ from canhaptic.drive.can.door import open_bus
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build
 from canhaptic.scene.buses import can_bus, kind_of
-from canhaptic.scene.far_side import build_drive_group
+from canhaptic.scene.far_side import build_far_end
 from canhaptic.scene.load import load_scene
 from canhaptic.view.terminal import RunProgress
 
@@ -260,7 +260,7 @@ def test_a_drive_on_its_own_is_run_by_a_master_elsewhere() -> None:
     master = load_scene(DEMO, ["bus.channel=two-sides", "bus.rate=100", "simulation=null"])
     stop = drive_command.StopSignal()  # type: ignore[attr-defined]
     with open_bus(can_bus(far.bus), "two-sides") as bus:
-        group = build_drive_group(far, bus)
+        group = build_far_end(far, None, bus)[0]
         thread = threading.Thread(target=drive_command._live, args=([(bus, group)], 20.0, stop))
         thread.start()
         try:

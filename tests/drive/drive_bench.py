@@ -18,7 +18,7 @@ from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.drive import SimulatedDriveParameters
-from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
+from canhaptic.sim.drive.can.drive_node import DrivesOnBus, SimulatedDrive
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
 OUR_EDS = REPOSITORY / "eds" / "cia402_servo.eds"
@@ -195,7 +195,7 @@ def make_bench(
         )
         for a, connection in zip(axes, buses[1:], strict=True)
     ]
-    far_sides = [DriveGroup(connection, (drive,)) for connection, drive in zip(buses[1:], simulated, strict=True)]
+    far_sides = [DrivesOnBus(connection, (drive,)) for connection, drive in zip(buses[1:], simulated, strict=True)]
     clock = VirtualClock([] if absent else far_sides)
     frames: list[tuple[int, int, bytes, bool]] = []
     tampered = TamperedBus(buses[0])

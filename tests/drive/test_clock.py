@@ -14,7 +14,7 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import DurationHistogram, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.sim.drive import SimulatedDriveParameters
-from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
+from canhaptic.sim.drive.can.drive_node import DrivesOnBus, SimulatedDrive
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import FreeMass, MakeBench, axis, dictionary, make_bench, private_channel
 
@@ -215,7 +215,7 @@ def test_a_rig_in_real_time_never_sends_syncs_in_a_burst(pair: tuple[can.BusABC,
         if can_id == 0x080:
             syncs.append(timestamp)
 
-    clock = WallClock([DriveGroup(pair[1], (drive,))])
+    clock = WallClock([DrivesOnBus(pair[1], (drive,))])
     link = Link(pair[0], clock, record)
     drives = [ServoDrive(link, of_axis, dictionary(of_axis), parameters)]
     rig = Rig(can_buses(link, drives, parameters), drives, parameters)

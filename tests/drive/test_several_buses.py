@@ -13,7 +13,7 @@ from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import BusBudgetError, LinkError
 from canhaptic.sim.drive import SimulatedDriveParameters
-from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
+from canhaptic.sim.drive.can.drive_node import DrivesOnBus, SimulatedDrive
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drive.drive_bench import FreeMass, axis, dictionary, private_channel
 
@@ -44,7 +44,7 @@ class Buses:
             for number, a in enumerate(axes)
         ]
         far_sides = zip(self.buses, self.simulated, strict=True)
-        self.clock = VirtualClock([DriveGroup(bus, (drive,)) for bus, drive in far_sides])
+        self.clock = VirtualClock([DrivesOnBus(bus, (drive,)) for bus, drive in far_sides])
         self.links = [Link(self.connect(channel), self.clock) for channel in channels]
         drives = [
             ServoDrive(self.links[number // per_bus], a, dictionary(a), parameters) for number, a in enumerate(axes)

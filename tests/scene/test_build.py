@@ -15,7 +15,7 @@ from canhaptic.errors import InputError, LinkError, ParameterError, RigError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build, require_buildable
 from canhaptic.scene.buses import can_bus
-from canhaptic.scene.far_side import build_drive_group
+from canhaptic.scene.far_side import build_far_end
 from canhaptic.scene.hints import stability_hints
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
@@ -157,7 +157,7 @@ def test_a_bus_that_cannot_be_used_is_one_clear_error(tmp_path: Path, monkeypatc
 def test_drives_cannot_be_simulated_without_a_simulation(tmp_path: Path) -> None:
     scene = load_scene(scene_file(tmp_path), ["simulation=null", "bus.channel=x"])
     with open_bus(can_bus(scene.bus), "x") as bus, pytest.raises(InputError, match="has no `simulation`"):
-        build_drive_group(scene, bus)
+        build_far_end(scene, None, bus)[0]
 
 
 def test_the_method_line_names_what_is_not_exact(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from canhaptic.control.passivity import Controller
 from canhaptic.cycle import run
 from canhaptic.errors import DriveFaultError, LinkError, RigError, SyncsSkippedError
 from canhaptic.scene.build import Experiment, build
-from canhaptic.scene.far_side import build_drive_group, with_effects
+from canhaptic.scene.far_side import build_far_end, with_effects
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.sim_bus.bus_bench import virtual_bus
@@ -291,7 +291,7 @@ def test_a_drive_on_its_own_hears_and_answers_through_its_faulty_bus() -> None:
         faulty = with_effects(bare, far, "drive")
         assert faulty is not None
         faulty.use(drive_command.WallClock(spin_margin=0.0))  # type: ignore[attr-defined]
-        group = build_drive_group(far, faulty)
+        group = build_far_end(far, None, faulty)[0]
         thread = threading.Thread(target=drive_command._live, args=([(faulty, group)], 20.0, stop))
         thread.start()
         try:

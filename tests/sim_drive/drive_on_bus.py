@@ -9,7 +9,7 @@ import can
 from canhaptic.canopen.eds import read_dictionary
 from canhaptic.signals import PlantEnergy
 from canhaptic.sim.drive import SimulatedDriveParameters
-from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
+from canhaptic.sim.drive.can.drive_node import DrivesOnBus, SimulatedDrive
 
 NODE = 5
 PERIOD = 1_000_000  # [ns]
@@ -67,7 +67,7 @@ class Rig:
             SimulatedDriveParameters(**values),
             PERIOD,
         )
-        self.group = DriveGroup(self._drive_bus, (self.drive,))
+        self.group = DrivesOnBus(self._drive_bus, (self.drive,))
         self.now = 0
 
     def close(self) -> None:

@@ -4,7 +4,7 @@ import can
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canhaptic.sim.drive.can.drive_node import DriveGroup
+from canhaptic.sim.drive.can.drive_node import DrivesOnBus
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drawn import examples
 from tests.sim_drive.drive_on_bus import NODE, PERIOD, TRAITS, Rig
@@ -72,7 +72,7 @@ def test_extended_remote_and_error_frames_are_no_frames_for_the_drive(rig: Rig) 
 
 def test_drives_of_a_group_share_one_connection() -> None:
     with Rig() as first, Rig(node_id=NODE + 1) as second:
-        group = DriveGroup(first.drive._bus, (first.drive, second.drive))
+        group = DrivesOnBus(first.drive._bus, (first.drive, second.drive))
         second.drive._bus = first.drive._bus
         first.bus.send(can.Message(arbitration_id=0, data=b"\1\0", is_extended_id=False))
         group.process(0)

@@ -22,10 +22,10 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import Clock, VirtualClock, WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.scene.buses import can_bus
-from canhaptic.scene.far_side import build_drive_group
+from canhaptic.scene.far_side import build_far_end
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.parts import build_servo_drive
-from canhaptic.sim.drive.can.drive_node import DriveGroup
+from canhaptic.sim.drive.can.drive_node import DrivesOnBus
 from tools.bench.demo import CONFIG, COUNT, require_rendered
 
 NODE = 1
@@ -81,7 +81,7 @@ class BroughtUp:
         with ExitStack() as stack:
             far_bus = stack.enter_context(open_bus(channel))
             self.bus = stack.enter_context(open_bus(channel))
-            self.far_side: DriveGroup = build_drive_group(scene, far_bus)
+            self.far_side: DrivesOnBus = build_far_end(scene, None, far_bus)[0]
             sides = [self.far_side]
             self.clock: Clock = VirtualClock(sides) if pace == "free" else WallClock(sides)
             link = Link(self.bus, self.clock)

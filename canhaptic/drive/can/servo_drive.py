@@ -539,7 +539,6 @@ class CanBringUp(BringUp):
 
 
 def _nmt_name(state: int | None) -> str:
-    """Name of an NMT state in a heartbeat."""
     if state is None:
         return "no heartbeat"
     return od.NmtState(state).name if state in od.NmtState.__members__.values() else f"NMT state {state:#04x}"

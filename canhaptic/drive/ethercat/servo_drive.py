@@ -244,7 +244,6 @@ class EthercatDrive(TorqueAxis):
         self.line.is_running = any(drive.is_operational for drive in self.line.drives)
 
     def _request(self, state: AlState) -> None:
-        """Ask for a state; raise LinkError."""
         try:
             self.line.segment.request(self.axis.position, state)
         except LinkError:

@@ -329,7 +329,6 @@ def steepest_ramp(dictionary: Dictionary) -> float:
 
 
 def _drive_objects(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterator[Finding]:
-    """Yield findings on the objects that the scene sets."""
     written = axis.written_objects.items()
     uses = [ObjectUse(*place, reads=True, writes=True, values=(value,)) for place, value in written]
     if axis.brake is not None and axis.brake.output is not None:
@@ -403,7 +402,6 @@ def _abort_option(dictionary: Dictionary, axis: TorqueAxisParameters) -> Finding
 
 
 def _offsets(dictionary: Dictionary, axis: TorqueAxisParameters) -> Iterator[Finding]:
-    """Yield findings on the offsets that a drive adds to its target: optional objects, set to 0 at the start."""
     for index in axis.causality.offsets:
         if index in dictionary:
             use = ObjectUse(index, reads=True, writes=is_writable(dictionary, index, 0), values=(0,))

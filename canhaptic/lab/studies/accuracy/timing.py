@@ -26,7 +26,7 @@ from canhaptic.drive.clock import ProcessorClock, VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.scene.build import build
 from canhaptic.scene.buses import can_bus, kind_of
-from canhaptic.scene.far_side import build_drive_group
+from canhaptic.scene.far_side import build_far_end
 from canhaptic.scene.models import Scene
 from canhaptic.scene.parts import build_servo_drive
 from canhaptic.signals import SimulatedPeer
@@ -55,7 +55,7 @@ def exchange_time(scene: Scene, most: int) -> float | None:
         ends = [open_bus(bus, channel) for _ in range(2)]
         for end in ends:
             stack.callback(end.shutdown)
-        far_side = _TimedFarSide(build_drive_group(scene, ends[0]))
+        far_side = _TimedFarSide(build_far_end(scene, None, ends[0])[0])
         link = Link(ends[1], VirtualClock([far_side]))
         drives = [build_servo_drive(axis, link, scene.bus) for axis in scene.axes]
         rig = Rig(can_buses(link, drives, bus), drives, scene.bus)

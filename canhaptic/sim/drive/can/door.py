@@ -6,7 +6,7 @@ from typing import Any
 import can
 
 from canhaptic.sim.drive import SimulatedDriveParameters
-from canhaptic.sim.drive.can.drive_node import DriveGroup, SimulatedDrive
+from canhaptic.sim.drive.can.drive_node import DrivesOnBus, SimulatedDrive
 from canhaptic.sim.drive.profile.servo import Motor
 
 
@@ -17,6 +17,6 @@ def drive_on(
     return SimulatedDrive(bus, axis.node_id, axis.eds, motor, drive, sample_time_ns)
 
 
-def group_of(bus: can.BusABC, drives: Sequence[SimulatedDrive], *_: object) -> tuple[DriveGroup, Sequence[object]]:
+def bus_of(bus: can.BusABC, drives: Sequence[SimulatedDrive], *_: object) -> tuple[DrivesOnBus, Sequence[object]]:
     """Return the drives of a bus together, and each."""
-    return DriveGroup(bus, drives), drives
+    return DrivesOnBus(bus, drives), drives

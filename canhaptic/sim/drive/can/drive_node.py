@@ -4,7 +4,7 @@ At a SYNC it samples the position and the torque held, sends the synchronous TPD
 RPDOs received since the last SYNC. An event-driven RPDO acts on arrival. It shares with the master only the constants
 of the object dictionary: its SDO server, codecs, scaling and state machine are its own.
 
-A `DriveGroup` runs all drives on one connection to the bus, and receives each frame once; `AllDrives` spans buses.
+A `DrivesOnBus` runs all drives on one connection to the bus, and receives each frame once; `AllDrives` spans buses.
 """
 
 from collections import deque
@@ -49,7 +49,7 @@ _FAULTY: Final = frozenset((DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT))
 
 
 class SimulatedDrive:
-    """One CiA 402 servo drive with its motor; a `DriveGroup` hands it frames and time.
+    """One CiA 402 servo drive with its motor; a `DrivesOnBus` hands it frames and time.
 
     Args:
         bus: Connection of the drive to the bus.
@@ -301,7 +301,7 @@ class SimulatedDrive:
             self._process_data.send_events()
 
 
-class DriveGroup(TimedDrives):
+class DrivesOnBus(TimedDrives):
     """Simulated drives on one bus connection (a `SimulatedPeer`); they do not receive each other's frames.
 
     Args:
@@ -366,5 +366,5 @@ class AllDrives(NamedTuple):
     drives: tuple[SimulatedDrive, ...]  # in the order of the axes
 
 
-Drives = DriveGroup | AllDrives
+Drives = DrivesOnBus | AllDrives
 """Simulated drives of a rig, on one bus or several."""

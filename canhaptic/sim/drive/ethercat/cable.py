@@ -378,7 +378,6 @@ def _spread_time(buffer: bytearray, address: int, data: int, drives: Sequence[Et
 
 
 def _addressed(command: int, address: int, drives: Sequence[EthercatDrive]) -> Sequence[EthercatDrive]:
-    """Return the drives that a datagram addresses."""
     if command in _BROADCAST:
         return drives
     if command in _BY_POSITION:

@@ -261,7 +261,6 @@ class Esc:
         return is_written
 
     def _act(self, address: int, end: int) -> None:
-        """Act on the registers that were written."""
         if address < STATION_ADDRESS + 2 and end > STATION_ADDRESS:
             self.station = self._number(STATION_ADDRESS, 2)
         if address <= AL_CONTROL < end:

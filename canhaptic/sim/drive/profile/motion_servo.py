@@ -65,7 +65,6 @@ class MotionServo(Servo):
             commanded.changed = self.obey
 
     def _commands(self) -> tuple[Entry, ...]:
-        """Return the objects that command motion."""
         return self._target_velocity, self._target_position, self._velocity_offset, self._position_offset
 
     def reset(self) -> None:
