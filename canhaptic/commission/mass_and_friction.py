@@ -242,8 +242,19 @@ def estimate_lateness(
     The delay is the time for which the previous torque still acts in each hold: window and lag together. A torque that
     changes by d in a hold has a mean lower by (delay / T) d, and one more column of `estimate` finds the delay. The
     torque should reverse while the axis is fastest (`reversals`): friction that reverses or sticks in a window would be
-    mistaken for a late torque. Arguments as for `estimate`; None when the motion was too small.
+    mistaken for a late torque. Whole holds are taken off first: the column is for a part of one. Arguments as for
+    `estimate`; None when the motion was too small.
     """
+    first = _late_part(positions, applied, sample_time, half_base)
+    whole = 0 if first is None else round(first[0] / sample_time)
+    if not whole or whole not in _LATE:
+        return first
+    rest = _late_part(positions, _delayed(applied, whole), sample_time, half_base)
+    return first if rest is None else (whole * sample_time + rest[0], rest[1])
+
+
+def _late_part(positions: _Array, applied: _Array, sample_time: float, half_base: int) -> tuple[float, float] | None:
+    """Return the delay of the torque, less than a hold, and its standard deviation [s]."""
     # A window about a reversal is short; in one with less than a fifth of the fastest motion the axis sticks or turns.
     starts, ways = _one_way(positions, half_base, half_base // 4, 4, 0.2)
     if len(starts) < _FEWEST_EQUATIONS:

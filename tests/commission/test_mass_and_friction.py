@@ -94,13 +94,14 @@ def test_a_mass_is_known_whenever_its_torque_acts(late: int, count: float) -> No
     assert blind.mass == pytest.approx(0.05 * (1.0 + 0.1 * late), rel=0.05)
 
 
-def test_a_torque_of_a_damped_axis_does_not_seem_early() -> None:
-    """An eighth of the speed is lost in each hold; the torque acts where it is booked."""
+@pytest.mark.parametrize("holds", [0, 2])
+def test_a_torque_of_a_damped_axis_does_not_seem_early(holds: int) -> None:
+    """An eighth of the speed is lost in each hold; the torque acts so many holds after where it is booked."""
     torques = np.array([0.0, *reversals(1.0, 16, 128), *[0.0] * 5])
     positions = np.round(moved(0.25, 0.128 * 0.25 / TIME, torques) / 1e-7) * 1e-7
-    late = estimate_lateness(positions, np.concatenate([[0.0], torques]), TIME, 5)
+    late = estimate_lateness(positions, np.concatenate([[0.0], np.roll(torques, -holds)]), TIME, 5)
     assert late is not None
-    assert abs(late[0]) <= max(2.0 * late[1], 2e-3 * TIME)
+    assert abs(late[0] - holds * TIME) <= max(2.0 * late[1], 2e-3 * TIME)
 
 
 @pytest.mark.parametrize(("half", "damping"), [(126, 0.02), (150, 0.0)])

@@ -3,9 +3,10 @@
 A twin acts in its hold or one or two holds late, with one or two frames in a cycle; its clock drifts against the
 host's; it reports its torque before or after its update, or none; its encoder or its motor may count the other way; the
 torque of 1000 per mille is what it states (0x6076), or a part of it, as of a rated current; its watchdog is armed or
-not. Each runs the steps of `canhaptic commission` for identity, first torque and its scale by a known mass, hold, and
-silence of the master. Wrong is what is said with certainty and not so; unclear, where nothing is said.
-`--runs N` twins from `--seed` on; what has run is kept in `commission_line_runs.jsonl`.
+not; damping takes up to a quarter of the speed in a hold. Each runs the steps of `canhaptic commission` for identity,
+first torque and its scale by a known mass, mass and friction, hold, and silence of the master. Wrong is what is said
+with certainty and not so; unclear, where nothing is said. `--runs N` twins from `--seed` on; what has run is kept in
+`commission_line_runs.jsonl`.
 """
 
 import argparse
@@ -13,10 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from canhaptic.commission.mass_and_friction import time_the_torque
 from canhaptic.commission.sequence import identify, pull_the_master, stand_still
-from canhaptic.commission.session import CommissioningLimits, Session, StepFinding, StepVerdict, Unattended
-from canhaptic.commission.torque_tests import SCALE, verified_axes
+from canhaptic.commission.session import CommissioningLimits, Report, Session, StepFinding, StepVerdict, Unattended
+from canhaptic.commission.torque_tests import SCALE, identify_dynamics, verified_axes
 from canhaptic.scene.load import scene_from_mapping
 from tools.bench.report import Row, kept_folder
 from tools.chance import Chance
@@ -28,6 +28,7 @@ _KEPT: Final = "commission_line_runs.jsonl"
 WANTED: Final = 200
 _TOLERANCE: Final = 0.1  # of a scale, as commissioning has it
 _BORDER: Final = 0.03  # so near to it both verdicts are right
+_DECLARED: Final = {"mass": "moving_mass", "damping": "device_damping"}
 _AS_OF_CURRENT: Final = (0.35, 0.71, 0.9, 1.41)  # torque over what 0x6076 seems to state
 
 
@@ -49,6 +50,8 @@ def _drawn(seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
         "reversed": chance.one_of(("none", "none", "none", "torque")), "watched": not chance.drawn(0.2),
         "after": chance.drawn(0.4), "mass": decades(0.05, 0.6), "rated": decades(10.0, 60.0),
     }  # fmt: skip
+    rate = chance.one_of((100, 125, 200, 250))
+    truth["damping"] = truth["mass"] * rate * decades(1e-3, 0.3)
     truth["rated"] = round(truth["rated"] * 1e3) * 1e-3 * truth["scale"]  # a whole number of steps of 0x6076
     drive: dict[str, Any] = {
         "syncs_late": truth["hold"], "reversed": truth["reversed"], "rated_torque": truth["rated"],
@@ -61,10 +64,10 @@ def _drawn(seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
         "torque_limit": 10.0, "read_back": "none" if chance.drawn(0.2) else "auto", "watchdog": truth["watched"],
     }  # fmt: skip
     scene = {
-        "duration": 1.0, "bus": {"rate": chance.one_of((100, 125, 200, 250))}, "axes": [axis],
+        "duration": 1.0, "bus": {"rate": rate}, "axes": [axis],
         "environment": {"type": "spring_damper_wall", "stiffness": 1000.0, "position": -1.0},
         "passivity": {"algorithm": "unprotected"},
-        "simulation": {"drive": drive, "plant": {"mass": truth["mass"], "damping": decades(0.02, 1.0)}},
+        "simulation": {"drive": drive, "plant": {"mass": truth["mass"], "damping": truth["damping"]}},
     }  # fmt: skip
     effects = {"drift": float(chance.generator.uniform(-1e-4, 1e-4))}
     truth["delay"] = delay = chance.one_of((1, 1, 2))
@@ -82,15 +85,16 @@ def outcome_of(seed: int) -> Twin:
     is_verified = verified_axes(session)
     with session.rig_of(with_hand=False):
         if is_verified:
-            time_the_torque(session, 0, 10.0, truth["mass"], {"device_friction_bound": 0.0})
+            identify_dynamics(session, 0, truth["mass"])
         pull_the_master(session)
-    wrong, unclear = _judged({found.item: found for found in session.report.findings}, truth)
+    wrong, unclear = _judged(session.report, truth)
     return Twin(seed, wrong, unclear, f"{values['bus']['rate']} Hz, {values['bus']['frames']} frames, {truth}")
 
 
-def _judged(rows: dict[str, StepFinding], truth: dict[str, Any]) -> tuple[list[str], list[str]]:
+def _judged(report: Report, truth: dict[str, Any]) -> tuple[list[str], list[str]]:
     """Returns what is said and not so, and what is left open."""
     is_right, said = truth["reversed"] == "none", list[tuple[str, bool | None]]()
+    rows, values = {of.item: of for of in report.findings}, {of.key: of.value for of in report.values}
 
     def known(item: str) -> StepFinding | None:
         found = rows.get(item)
@@ -104,6 +108,11 @@ def _judged(rows: dict[str, StepFinding], truth: dict[str, Any]) -> tuple[list[s
         hold = None if motion is None else int(motion.found.split()[0]) - truth["delay"]
         if scale is not None and scale.verdict is StepVerdict.AGREES:  # else it is mended first
             said.append(("hold", None if hold is None else hold == truth["hold"]))
+            for key in ("mass", "damping"):  # in the torque that the drive seems to have
+                declared = values.get(f"passivity.{_DECLARED[key]}")
+                said.append((key, None if declared is None else float(declared) <= truth[key] / truth["scale"]))
+            lag = known("torque lag")
+            said.append(("lag", None if lag is None else lag.verdict is not StepVerdict.FAILED))
         if booked is not None:
             said.append(("read-back", (booked.verdict is StepVerdict.AGREES) is not truth["after"]))
     watchdog = known("watchdog")
