@@ -11,8 +11,8 @@ from rich.console import Console
 from canhaptic.canopen.eds import DriveDictionary, read_dictionary
 from canhaptic.cli.options import is_of_line
 from canhaptic.drive.can.pdo_map import AxisMap, PdoPlan
-from canhaptic.drive.profile.admittance_parameters import Mode
 from canhaptic.drive.profile.fitness import Verdict
+from canhaptic.drive.profile.motion_parameters import Mode
 from canhaptic.drive.survey import MOST_AXES, Suitability, Survey, display_of, survey, unconfigured_axis
 from canhaptic.errors import InputError
 from canhaptic.scene.load import scene_from_text

@@ -32,10 +32,10 @@ from canhaptic.drive.can.pdo_map import (
     standard_watchdog,
 )
 from canhaptic.drive.profile import fitness
-from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceParameters, Mode
 from canhaptic.drive.profile.causality import Impedance
 from canhaptic.drive.profile.drive_objects import DRIVE_OBJECTS
 from canhaptic.drive.profile.fitness import Finding, Verdict, limit_objection, listed
+from canhaptic.drive.profile.motion_parameters import ForceParameters, Mode, MotionParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.profile.torque_axis import TorqueAxis
 from canhaptic.errors import DictionaryError, SdoError
@@ -65,7 +65,7 @@ def _analog_input(dictionary: ObjectDictionary) -> str | None:
     return None
 
 
-def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | None = None) -> AdmittanceParameters:
+def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | None = None) -> MotionParameters:
     """Return an admittance display for a dictionary; its scale of 1 and its other figures are placeholders.
 
     Args:
@@ -80,7 +80,7 @@ def display_of(dictionary: ObjectDictionary, mode: Mode, force_object: str | Non
     place = force_object or _analog_input(dictionary)
     node = ForceNode(node_id=9) if place is None else None  # where the drive has no input
     force = ForceParameters(object=place, node=node, per_count=1.0, range=1e6, slew=1.0, error=0.0)
-    return AdmittanceParameters(mode=mode, handle_acceleration=1.0, force=force)
+    return MotionParameters(mode=mode, handle_acceleration=1.0, force=force)
 
 
 RATES: Final = (100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
@@ -295,7 +295,7 @@ def _rows(
     yield SurveyRow("PDO", "map", "", *findings["PDO"][1:])
 
 
-def _force(dictionary: ObjectDictionary, display: AdmittanceParameters) -> SurveyRow:
+def _force(dictionary: ObjectDictionary, display: MotionParameters) -> SurveyRow:
     place = display.force.place
     if place is None:
         text = "no analog input is known for this drive; name one (--force-object), or give the sensor its own node"
@@ -312,7 +312,7 @@ def _force(dictionary: ObjectDictionary, display: AdmittanceParameters) -> Surve
     return SurveyRow("force", item, _describe(dictionary, *place), verdict, text)
 
 
-def _ramps_and_quick_stop(dictionary: ObjectDictionary, mode: Impedance | AdmittanceParameters) -> Iterator[SurveyRow]:
+def _ramps_and_quick_stop(dictionary: ObjectDictionary, mode: Impedance | MotionParameters) -> Iterator[SurveyRow]:
     """Yield verdicts on objects that may alter a command of this mode, and on the drive's own quick stop."""
     speeding = od.PROFILE_ACCELERATION, od.MAX_ACCELERATION
     ramps = [index for index in speeding if index in mode.ramps and listed(dictionary, index) is not None]

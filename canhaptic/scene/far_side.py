@@ -59,9 +59,9 @@ def build_plant(simulation: AxisSimulation, sample_time_ns: int) -> "Plant":
     effects = [effect_of(effect) for effect in simulation.effects]
     given = simulation.user, effects, sample_time_ns, simulation.seed, simulation.accuracy
     if simulation.admittance is not None:
-        from canhaptic.sim.plant.velocity_drive import AdmittancePlant
+        from canhaptic.sim.plant.velocity_drive import VelocityDrivenPlant
 
-        return AdmittancePlant(simulation.plant, simulation.admittance, *given)
+        return VelocityDrivenPlant(simulation.plant, simulation.admittance, *given)
     from canhaptic.sim.plant.plant import Plant
 
     return Plant(simulation.plant, *given)

@@ -108,8 +108,8 @@ class LogParameters(Parameters):
 
 
 if TYPE_CHECKING:
-    from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
     from canhaptic.drive.profile.causality import Impedance
+    from canhaptic.drive.profile.motion_parameters import MotionParameters
     from canhaptic.far.parameters import FarParameters
     from canhaptic.sim.bus.faulty_bus import BusEffects
     from canhaptic.sim.drive import SimulatedDriveParameters
@@ -350,7 +350,7 @@ class Port(NamedTuple):
     section: str  # path of what is rendered, for an override; empty for the environment of an axis
 
     @property
-    def causality(self) -> "Impedance | AdmittanceParameters":
+    def causality(self) -> "Impedance | MotionParameters":
         """What its drives are sent and what they show."""
         return self.axes[0].parameters.causality
 
@@ -563,17 +563,16 @@ class Scene:
             **({"far_network": plain["far_network"]} if self.far_network else {}),
         }
         bus = [{"name": self.bus_name, **plain["bus"]}, *plain["further_buses"]] if self.bus_name else plain["bus"]
-        auto = {"auto": self.accuracy_tolerance, "chosen": dict(self.accuracy_choices)}
+        auto = self.auto_accuracy and {"auto": self.accuracy_tolerance, "chosen": dict(self.accuracy_choices)}
+        own_code, far = dict(self.own_code), self.far and plain["far"]
+        optional = {"groups": groups, "far": far, "accuracy": auto, "own_code": own_code}
         return {
             "bus": bus,
             "axes": {axis["parameters"]["name"]: _resolved_axis(axis) for axis in plain["axes"]},
             "log": plain["log"],
             "run": plain["run"],
             "simulation": simulation,
-            **({"groups": groups} if groups else {}),
-            **({"far": plain["far"]} if self.far else {}),
-            **({"accuracy": auto} if self.auto_accuracy else {}),
-            **({"own_code": dict(self.own_code)} if self.own_code else {}),
+            **{key: section for key, section in optional.items() if section},
         }
 
     def config_hash(self) -> str:

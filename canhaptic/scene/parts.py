@@ -204,7 +204,8 @@ def _axis_meter(axis: AxisScene, scene: Scene) -> AxisMeter:
 
         return SilentMeter(mass_felt(axis, port))
     accuracy = _accuracy_of(axis, port.passivity, port.axes)
-    environment = None if axis.group or axis.guard else plain(cast(Environment, axis.environment.parameters))
+    rendered = cast(Environment, axis.environment.parameters)
+    environment = plain(rendered) if hasattr(rendered, "contact") and not axis.guard else None
     if (declared := friction_declared(axis)) is None:
         return AxisMeter(accuracy, environment)
     from canhaptic.control.motion_checks import FrictionWatch

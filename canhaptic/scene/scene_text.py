@@ -30,7 +30,7 @@ from canhaptic.control.passivity import LoopProperties
 from canhaptic.drive.can.bus_budget import round_rate
 from canhaptic.drive.can.pdo_map import standard_watchdog
 from canhaptic.drive.profile import fitness
-from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
+from canhaptic.drive.profile.motion_parameters import MotionParameters
 from canhaptic.drive.profile.quirks import quirks_of
 from canhaptic.drive.survey import Suitability, Survey, stated_value
 from canhaptic.errors import DictionaryError, InputError
@@ -247,7 +247,7 @@ def _of_torque(found: Survey, limit: float, time: float, jitter: float | None) -
     return _OfMode(_read_back(found), _wall(limit, time, jitter), machine)
 
 
-def _of_motion(found: Survey, given: AdmittanceParameters, limit: float, time: float, jitter: float | None) -> _OfMode:
+def _of_motion(found: Survey, given: MotionParameters, limit: float, time: float, jitter: float | None) -> _OfMode:
     mass, gain = _INERTIA * limit, _gain(limit)
     loop = {"gain": gain, "integral": 10.0 * gain if given.mode == "position" else 0.0, "noise": 5e-5 * limit}
     grip = {"grip": 0.15 * mass, "grip_stiffness": 1e4 * mass, "grip_damping": 10.0 * mass}
@@ -270,7 +270,7 @@ def _wall(limit: float, time: float, jitter: float | None) -> str:
     return _text("wall", **values, timing=timing, allowance=1e6 * energy, allowed=allowed)
 
 
-def _virtual_mass(given: AdmittanceParameters, limit: float, sample_time: float, jitter: float | None) -> str:
+def _virtual_mass(given: MotionParameters, limit: float, sample_time: float, jitter: float | None) -> str:
     mass, gain = _INERTIA * limit, _gain(limit)
     is_position = given.mode == "position"
     return _text(
@@ -288,7 +288,7 @@ def _virtual_mass(given: AdmittanceParameters, limit: float, sample_time: float,
     )
 
 
-def _motion_keys(found: Survey, given: AdmittanceParameters, limit: float, *, has_mean: bool) -> str:
+def _motion_keys(found: Survey, given: MotionParameters, limit: float, *, has_mean: bool) -> str:
     """Return the keys of an axis that make it an admittance display; `has_mean`: of a sensor that shows means."""
     counts, dictionary = _counts(found.dictionary), found.dictionary
     unlimited, steepest = fitness.max_torque_unwritten(dictionary, found.axis), fitness.steepest_ramp(dictionary)

@@ -241,7 +241,8 @@ def plane_of(log: EnergyLog, name: str) -> Plane | None:
         kinematics = _build(KINEMATICS, group["kinematics"])
         if kinematics.dimensions != 2:
             return None
-        sections = group["network"] if isinstance(group["network"], list) else [group["network"]]
+        network = group["network"]
+        sections = network if isinstance(network, list) else [network]
         rendered: list[Rendered] = [_build(NETWORKS, section).build(2) for section in sections]
     except (KeyError, TypeError, ValueError, CanHapticError):  # no group, or written by a version that differs
         return None

@@ -17,7 +17,7 @@ from canhaptic.cli.main import main
 from canhaptic.control.admittance import DISPLAY_ALGORITHMS
 from canhaptic.control.admittance.group_environment import PathMass, nearest
 from canhaptic.cycle import run
-from canhaptic.drive.profile.admittance_parameters import ForceChannel, ForceParameters
+from canhaptic.drive.profile.motion_parameters import ForceChannel, ForceParameters
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import (
     ForceContradictedError,

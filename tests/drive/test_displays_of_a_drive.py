@@ -14,8 +14,8 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.motion_drive import CanMotionDrive
 from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceChannel, ForceParameters
 from canhaptic.drive.profile.fitness import Verdict, profile_findings
+from canhaptic.drive.profile.motion_parameters import ForceChannel, ForceParameters, MotionParameters
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import LinkError, ParameterError
 from canhaptic.scene.build import build
@@ -32,7 +32,7 @@ def display(drive_objects: dict[str, int] | None = None, **values: Any) -> AxisP
     force = ForceParameters(object="0x2205.1", **FORCE)
     given = {"acceleration_limit": 50.0, "handle_acceleration": 80.0, "force": force} | values
     return axis(
-        name="handle", eds=EDS, admittance=AdmittanceParameters(**given), speed_limit=1.0,
+        name="handle", eds=EDS, admittance=MotionParameters(**given), speed_limit=1.0,
         drive_objects=drive_objects or {},
     )  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from canhaptic.drive.profile.admittance_parameters import ForceChannel, ForceParameters
+from canhaptic.drive.profile.motion_parameters import ForceChannel, ForceParameters
 
 
 def channel(**values: object) -> ForceChannel:

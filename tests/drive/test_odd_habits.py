@@ -14,7 +14,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.can.motion_drive import CanMotionDrive
 from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
-from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceParameters
+from canhaptic.drive.profile.motion_parameters import ForceParameters, MotionParameters
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import RigError, StartError
 from tests.drive.drive_bench import REPOSITORY, axis, private_channel
@@ -30,7 +30,7 @@ def display(kind: str) -> AxisParameters:
         {"node": ForceNode(node_id=0x21, device_type=404, tare=True)} if kind == "sensor" else {"object": "0x2205.1"}
     )
     force = ForceParameters(per_count=0.01, range=300.0, slew=5e3, error=0.5, frozen_after=50, **source)
-    parameters = AdmittanceParameters(mode="position", acceleration_limit=50.0, handle_acceleration=80.0, force=force)
+    parameters = MotionParameters(mode="position", acceleration_limit=50.0, handle_acceleration=80.0, force=force)
     return axis(
         NODE,
         name="handle",

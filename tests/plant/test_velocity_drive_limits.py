@@ -9,9 +9,9 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.velocity_drive import (
-    AdmittancePlant,
     AdmittanceSimulation,
     GripParameters,
+    VelocityDrivenPlant,
     VelocityLoopParameters,
 )
 
@@ -20,10 +20,10 @@ MS = 1_000_000
 MASS, GAIN, BEHIND = 2.0, 628.0, 1e-3
 
 
-def plant_of(integral: float = 0.0, limit: float | None = None) -> AdmittancePlant:
+def plant_of(integral: float = 0.0, limit: float | None = None) -> VelocityDrivenPlant:
     loop = VelocityLoopParameters(gain=GAIN, integral_gain=integral, torque_limit=limit)
     simulation = AdmittanceSimulation(loop=loop, grip=GripParameters(mass=BEHIND, stiffness=1e4, damping=5.0))
-    plant = AdmittancePlant(PlantParameters(mass=MASS, damping=0.0), simulation, None, (), MS)
+    plant = VelocityDrivenPlant(PlantParameters(mass=MASS, damping=0.0), simulation, None, (), MS)
     plant.begin(0)
     return plant
 
@@ -92,5 +92,5 @@ def test_the_start_writes_the_limit_and_takes_the_offsets_away() -> None:
         run(experiment.cycle, 20, progress=lambda _: seen.update(offset.value for offset in offsets))
         assert seen == {0}
         assert [offset.value for offset in offsets] == [50, 1000]  # put back at the end
-        assert isinstance(plant, AdmittancePlant)
+        assert isinstance(plant, VelocityDrivenPlant)
         assert plant.display.loop.torque_limit == 30.0

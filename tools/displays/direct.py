@@ -15,7 +15,7 @@ from canhaptic.control.motion_checks import MassFelt
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
-from canhaptic.sim.plant.velocity_drive import AdmittancePlant, AdmittanceSimulation
+from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation, VelocityDrivenPlant
 from canhaptic.units import Parameters
 
 _NONE, _HELD = Certificate.NONE.value, Branch.HELD.value
@@ -91,7 +91,7 @@ def run(display: Display, cycles: int, *, keeps: bool = False, felt: MassFelt | 
         felt: Estimator of the mass felt, which takes every sample that comes.
     """
     properties, period = display.properties, round(display.properties.sample_time * 1e9)
-    plant = AdmittancePlant(display.plant, display.simulation, display.user, display.effects, period, display.seed)
+    plant = VelocityDrivenPlant(display.plant, display.simulation, display.user, display.effects, period, display.seed)
     controller: Any = build_display_controller(display.environment, display.algorithm, display.parameters, properties)
     random, found = Random(display.seed), Outcome()
     queue, acting, row, count = [0.0] * (properties.delay + display.late), 0.0, 0, properties.encoder_count
@@ -144,7 +144,7 @@ def sync_times(display: Display, cycles: int) -> list[int]:
     return [k * period + (64 * round(random.uniform(-reach, reach) / 64.0) if k else 0) for k in range(cycles)]
 
 
-def watch(found: Outcome, plant: AdmittancePlant, before: _Motion, time: float) -> _Motion:
+def watch(found: Outcome, plant: VelocityDrivenPlant, before: _Motion, time: float) -> _Motion:
     """Takes the largest slew, acceleration and speed within a part of a hold; returns what it is now."""
     force, velocity, position = plant.force, plant.velocity, plant.position
     found.slew = max(found.slew, abs(force - before[0]) / time)
@@ -155,7 +155,7 @@ def watch(found: Outcome, plant: AdmittancePlant, before: _Motion, time: float) 
     return force, velocity, position
 
 
-def _take(found: Outcome, plant: AdmittancePlant, balance: Any, properties: AdmittanceProperties) -> None:
+def _take(found: Outcome, plant: VelocityDrivenPlant, balance: Any, properties: AdmittanceProperties) -> None:
     found.last = true = -plant.energy().motor
     found.believed += balance.h_i
     found.least = min(found.least, true)

@@ -10,7 +10,7 @@ from canhaptic.cycle import run
 from canhaptic.errors import CanHapticError, StartError
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
-from canhaptic.sim.plant.velocity_drive import AdmittancePlant
+from canhaptic.sim.plant.velocity_drive import VelocityDrivenPlant
 
 SCENE = Path(__file__).resolve().parents[2] / "configs" / "admittance" / "virtual_mass.yaml"
 _BEGIN = 0.8  # [s] of every fault
@@ -58,7 +58,7 @@ def _energies_without_fault(cycles: int) -> tuple[float, ...]:
     """Returns the true energy through the sensor after every cycle of a run without a fault [J]."""
     found: list[float] = []
     with build(load_scene(SCENE), "free") as experiment:
-        plant = cast(AdmittancePlant, experiment.plants[0])
+        plant = cast(VelocityDrivenPlant, experiment.plants[0])
         run(experiment.cycle, cycles, progress=lambda _: found.append(-plant.energy().motor))
     return tuple(found)
 
@@ -73,7 +73,7 @@ def outcome_of(fault: str, changes: Sequence[str], cycles: int) -> FaultOutcome:
     scene, healthy = load_scene(SCENE, changes), _energies_without_fault(cycles)
     period, most, reason, behind = scene.bus.sample_time, [-1e9, 0.0, 0.0], "", [0.0]
     with build(scene, "free") as experiment:
-        plant = cast(AdmittancePlant, experiment.plants[0])
+        plant = cast(VelocityDrivenPlant, experiment.plants[0])
 
         def watch(done: int) -> None:
             energy = -plant.energy().motor
@@ -109,7 +109,7 @@ def worst_offset(offset: float, times: int = 10) -> tuple[FaultOutcome, int]:
     return max(found, key=lambda one: one.by_fault), sum(not one.stopped_by for one in found)
 
 
-def _standstill(plant: AdmittancePlant, drives: Any, clock: Any) -> float:
+def _standstill(plant: VelocityDrivenPlant, drives: Any, clock: Any) -> float:
     """Returns how long the handle moves on [s] after the master has left; -1 where that is more than 2 s."""
     begin = clock.now()
     for step in range(200):

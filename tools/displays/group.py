@@ -12,7 +12,7 @@ from canhaptic.control.balance import Certificate
 from canhaptic.control.mechanisms.five_bar import FiveBar
 from canhaptic.control.mechanisms.kinematics import Kinematics, Limit
 from canhaptic.control.mechanisms.planar_2r import Planar2R
-from canhaptic.sim.plant.velocity_drive import AdmittancePlant
+from canhaptic.sim.plant.velocity_drive import VelocityDrivenPlant
 from tools.displays.direct import Display, Outcome, watch
 from tools.displays.judge import claims_of
 from tools.displays.random_display import _STATIC, random_display
@@ -160,7 +160,7 @@ def run_group(group: AdmittanceGroup, cycles: int) -> GroupOutcome:
     axes, random = group.axes, Random(group.axes[0].seed)
     properties, period = [axis.properties for axis in axes], round(axes[0].properties.sample_time * 1e9)
     controller: Any = build_display_group(group.environment, "guarded", group.parameters, properties, group.kinematics)
-    plants = [AdmittancePlant(a.plant, a.simulation, a.user, a.effects, period, a.seed) for a in axes]
+    plants = [VelocityDrivenPlant(a.plant, a.simulation, a.user, a.effects, period, a.seed) for a in axes]
     found = GroupOutcome([Outcome() for _ in axes])
     queue, acting, rows = [[0.0] * len(axes) for _ in range(properties[0].delay)], [0.0] * len(axes), [0] * len(axes)
     for plant in plants:

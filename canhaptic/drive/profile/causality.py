@@ -1,6 +1,6 @@
 """What the drive of an axis is sent and what it shows, by the causality of the axis.
 
-An impedance display, `Impedance`, takes torques and shows torques; an admittance display, `AdmittanceParameters`, takes
+An impedance display, `Impedance`, takes torques and shows torques; an admittance display, `MotionParameters`, takes
 velocities and shows forces. Both have the attributes below, so that nothing else asks which of them an axis is.
 """
 

@@ -10,7 +10,7 @@ from typing import Final, cast
 
 from canhaptic.canopen import objects as od
 from canhaptic.canopen.objects import Dictionary
-from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters, ForceChannel
+from canhaptic.drive.profile.motion_parameters import ForceChannel, MotionParameters
 from canhaptic.drive.profile.scaling import AxisScaling
 from canhaptic.drive.profile.torque_axis import CycleRules, ObjectAccess, TorqueAxis
 from canhaptic.drive.profile.torque_axis_parameters import ReadBack, TorqueAxisParameters
@@ -33,7 +33,7 @@ class MotionAxis(TorqueAxis):
         self, axis: TorqueAxisParameters, dictionary: Dictionary, sdo: ObjectAccess, rules: CycleRules,
         read_back: ReadBack, dry_run: bool = False,
     ) -> None:  # fmt: skip
-        self._given = given = cast(AdmittanceParameters, axis.admittance)
+        self._given = given = cast(MotionParameters, axis.admittance)
         self.force = ForceChannel(given.force, rules.sample_time)
         self._is_position = given.mode == "position"
         super().__init__(axis, dictionary, sdo, rules, read_back, dry_run)

@@ -12,10 +12,10 @@ from canhaptic.units import Name, OnDemand, Parameters, PrintableText, quantity
 
 if TYPE_CHECKING:
     from canhaptic.canopen.attached_devices import Brake
-    from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
+    from canhaptic.drive.profile.motion_parameters import MotionParameters
 else:  # an impedance display without a brake loads nothing of them
     Brake = Any
-    AdmittanceParameters = Any
+    MotionParameters = Any
 
 ReadBack = Literal["demand", "actual", "none"]
 """Torque in the process data of a drive: 0x6074, 0x6077, or none."""
@@ -109,8 +109,7 @@ class TorqueAxisParameters(Parameters):
     """Amplitude of a random sign sequence in the torques of `guarded`: a run then shows in which hold they act, and
     has no certificate where it is another one than declared. At least half a step of the torque. None: not added."""
     admittance: (
-        Annotated[AdmittanceParameters, OnDemand("canhaptic.drive.profile.admittance_parameters:AdmittanceParameters")]
-        | None
+        Annotated[MotionParameters, OnDemand("canhaptic.drive.profile.motion_parameters:MotionParameters")] | None
     ) = None
     """Parameters of an admittance display, force in and velocity out. None: an impedance display."""
     vendor_id: Annotated[int, quantity("1", ge=0, le=0xFFFFFFFF)] | None = None
@@ -166,6 +165,6 @@ class TorqueAxisParameters(Parameters):
         return {(int(key[2:6], 16), int(key[7:])): value for key, value in self.drive_objects.items()}
 
     @property
-    def causality(self) -> "Impedance | AdmittanceParameters":
+    def causality(self) -> "Impedance | MotionParameters":
         """What the drive is sent and what it shows."""
         return self.admittance or IMPEDANCE

@@ -22,8 +22,8 @@ from canhaptic.control.balance import EnergyBalance, GroupBalance
 from canhaptic.control.environments import Environment, plain
 from canhaptic.control.multi_axis.group_kernel import GroupMotion
 from canhaptic.control.passivity import LoopProperties
-from canhaptic.drive.profile.admittance_parameters import ForceChannel
 from canhaptic.drive.profile.causality import IMPEDANCE
+from canhaptic.drive.profile.motion_parameters import ForceChannel
 from canhaptic.errors import CanHapticError, ControlError, InputError
 from canhaptic.kernels import Run, with_quick_fields
 from canhaptic.lab import reference
@@ -59,7 +59,7 @@ from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
-from canhaptic.sim.plant.velocity_drive import AdmittancePlant
+from canhaptic.sim.plant.velocity_drive import VelocityDrivenPlant
 
 
 def respond_as_object(control: closed_loop.AxisControl, room: Room, place: CycleState) -> EnergyBalance:
@@ -311,7 +311,7 @@ class _Display:
         if display is None:
             raise InputError(f"{given.name}: is not an admittance display, expected one")
         self._name, self._counts = given.name, given.counts_per_unit
-        self.plant = plant = cast(AdmittancePlant, build_plant(simulation, scene.bus.sample_time_ns))
+        self.plant = plant = cast(VelocityDrivenPlant, build_plant(simulation, scene.bus.sample_time_ns))
         self.begin, self.advance_to, self.energy = plant.begin, plant.advance_to, plant.energy
         self._channel = ForceChannel(display.force, scene.bus.sample_time)
         own = simulation.drive.display

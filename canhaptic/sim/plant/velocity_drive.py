@@ -285,7 +285,7 @@ class _Sensor(Part):
             rows.set_rate("filtered_force", self._corner * (force - rows.row(filtered_force=1.0)))
 
 
-class AdmittancePlant(Plant):
+class VelocityDrivenPlant(Plant):
     """One simulated axis with a velocity loop and a force sensor; the input of a hold is the commanded velocity.
 
     Args:
@@ -362,7 +362,7 @@ class AdmittancePlant(Plant):
         loop = self.display.loop.model_copy(update={"torque_limit": limit})
         parameters, user, effects, sample_time_ns, seed, accuracy = self._made_of
         display = self.display.model_copy(update={"loop": loop})
-        AdmittancePlant.__init__(self, parameters, display, user, effects, sample_time_ns, seed, accuracy)
+        VelocityDrivenPlant.__init__(self, parameters, display, user, effects, sample_time_ns, seed, accuracy)
 
     def feed_forward(self, torque: float) -> None:
         """Set the torque that is added to the torque of the loop, like 0x60B2.

@@ -14,7 +14,7 @@ import numpy as np
 
 from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.clock import ProcessorClock
-from canhaptic.drive.profile.admittance_parameters import AdmittanceParameters
+from canhaptic.drive.profile.motion_parameters import MotionParameters
 from canhaptic.errors import CanHapticError
 from canhaptic.lab.batch.scalar import run_display
 from canhaptic.lab.figures.figures import figures_of
@@ -176,9 +176,9 @@ def _with(
     )  # fmt: skip
 
 
-def _declared(axis: AxisScene) -> AdmittanceParameters:
+def _declared(axis: AxisScene) -> MotionParameters:
     """Return what is declared of the velocity loop and the force sensor of an axis."""
-    return cast(AdmittanceParameters, axis.parameters.causality)
+    return cast(MotionParameters, axis.parameters.causality)
 
 
 def _ideal(scene: Scene, steps: int) -> Scene:

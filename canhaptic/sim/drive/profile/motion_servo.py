@@ -17,7 +17,7 @@ from canhaptic.sim.drive.profile.state_machine import STATUSWORD as STATUSWORDS
 from canhaptic.sim.drive.profile.state_machine import DriveState
 
 if TYPE_CHECKING:
-    from canhaptic.sim.plant.velocity_drive import AdmittancePlant
+    from canhaptic.sim.plant.velocity_drive import VelocityDrivenPlant
 
 _FOLLOWS: Final = int(StatusBit.FOLLOWS_COMMAND)
 _BRAKING: Final = frozenset((DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE))
@@ -35,9 +35,9 @@ class MotionServo(Servo):
         ParameterError: The dictionary lacks its force object, or a torque is to be at fault.
     """
 
-    motor: "AdmittancePlant"
+    motor: "VelocityDrivenPlant"
 
-    def __init__(self, store: ObjectStore, motor: "AdmittancePlant", parameters: SimulatedDriveParameters) -> None:
+    def __init__(self, store: ObjectStore, motor: "VelocityDrivenPlant", parameters: SimulatedDriveParameters) -> None:
         scales = cast(MotionScaling, parameters.display)
         if parameters.fault:
             raise ParameterError("fault: an admittance display has no torque that is commanded; leave it out")

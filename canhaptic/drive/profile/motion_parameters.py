@@ -90,7 +90,7 @@ class ForceParameters(Parameters):
         return None if match is None else (int(match[1], 16), int(match[2] or "0", 16))
 
 
-class AdmittanceParameters(Parameters):
+class MotionParameters(Parameters):
     """Makes an axis an admittance display: force in, velocity out."""
 
     mode: Mode = "velocity"
@@ -113,7 +113,7 @@ class AdmittanceParameters(Parameters):
     """The force sensor."""
 
     @model_validator(mode="after")
-    def _positions_are_in_order(self) -> "AdmittanceParameters":
+    def _positions_are_in_order(self) -> "MotionParameters":
         low, high = self.position_low, self.position_high
         if low is not None and high is not None and low >= high:
             raise ValueError(f"position_low is {low}, expected less than position_high ({high})")
