@@ -217,6 +217,7 @@ def test_a_running_impulse_of_a_node_of_its_own_survives_lost_frames(
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_raw_frames_of_a_sensor_are_read_as_described() -> None:
     node = "{cob_id: 0x345, first_byte: 2, bits: 16, order: big, length: 6}"
     changes = [f"axes.0.admittance.force.node={node}", "axes.0.admittance.force.sampling=point"]

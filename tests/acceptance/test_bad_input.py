@@ -108,6 +108,16 @@ def refused(case: Case, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
         assert all(command.controlword == 0 for command in commands(frames))
 
 
+@pytest.mark.slow_but(
+    "wrong device type",
+    "mapping refused by abort",
+    "drive in fault",
+    "bus overload",
+    "unknown key",
+    "wrong unit",
+    "node id twice",
+    "EDS missing",
+)
 @pytest.mark.parametrize("what", CASES)
 def test_bad_input_is_one_clear_error_and_no_torque(
     what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

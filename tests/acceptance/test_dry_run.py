@@ -93,7 +93,7 @@ def test_every_torque_sent_is_zero_while_the_requests_are_kept(dry: DryRun) -> N
                 assert account["withheld_torque"] <= min(asked, limit)
 
 
-@pytest.mark.slow_but("group")
+@pytest.mark.slow_but("one axis")
 def test_its_account_claims_nothing(dry: DryRun) -> None:
     ran, result = dry, dry.result
     with EnergyLog.open(ran.log) as log:

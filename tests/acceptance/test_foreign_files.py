@@ -139,6 +139,7 @@ def test_a_log_has_no_values_in_another_file(
         assert re.search("in another file|is a link", capsys.readouterr().err)
 
 
+@pytest.mark.slow
 def test_a_text_of_a_log_that_is_nested_too_deeply_is_one_error(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -73,7 +73,7 @@ def test_what_is_believed_of_each_axis_and_of_the_group_is_true_within_the_encod
     assert judge.believed_error[2] <= sum(bounds)
 
 
-@pytest.mark.slow_for("xy_box")
+@pytest.mark.slow_but("two_handles")
 def test_the_energies_of_what_is_simulated_close_over_the_run(whole: Whole) -> None:
     name, _, log = whole
     sums = {part: log.truth[GROUP[name]][part] for part in ("motor", "user", "dissipated", "stored")}

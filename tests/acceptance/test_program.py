@@ -229,6 +229,7 @@ def test_every_way_out_sends_zero_torque_first_and_disables_second(what: str, tm
     assert signal.getsignal(signal.SIGTERM) is before
 
 
+@pytest.mark.slow
 def test_a_program_that_catches_the_interrupt_in_its_loop_ends_at_the_next_turn(tmp_path: Path) -> None:
     turns: list[int] = []
 

@@ -174,7 +174,7 @@ def test_no_account_of_torques_that_were_never_commanded_says_yes(capsys: pytest
     assert port["passive"] == "in doubt"
 
 
-@pytest.mark.slow_but("values0", "values3")
+@pytest.mark.slow_but("values3")
 @pytest.mark.parametrize(
     "values",
     [

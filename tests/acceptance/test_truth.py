@@ -105,6 +105,7 @@ def test_no_verdict_may_rest_on_a_resolution_that_is_an_estimate() -> None:
     assert _false_claims("handle", {**port, "resolution_is_estimated": False}, truth, {})
 
 
+@pytest.mark.slow
 def test_a_wall_that_moves_by_itself_counts_at_the_handle_too():
     _, outcome = judged(random_scene(3001843))
     assert outcome.at_handle == "in doubt"  # without a certificate, and -2 mJ at the motors
@@ -299,6 +300,7 @@ def test_a_campaign_goes_on_where_it_was_stopped(tmp_path):
     assert run_all([1, 2], kept, 1) == [first, second]
 
 
+@pytest.mark.slow_but("syncs_late=1-declared1-*", "acts_at_once*")
 @pytest.mark.parametrize(
     ("drive", "declared", "is_booked"),
     [

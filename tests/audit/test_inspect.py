@@ -65,6 +65,7 @@ def test_the_account_equals_that_of_the_ledger_of_the_run(log: Path, start: floa
             assert found[name] == (pytest.approx(value, rel=1e-12) if name == "surplus" else value), name
 
 
+@pytest.mark.slow
 def test_the_hold_in_which_the_hand_leaves_does_not_count_as_damping_that_was_not_rendered(
     account: Inspection, tmp_path: Path
 ) -> None:
@@ -126,6 +127,7 @@ def test_in_the_wall_of_user_code_in_its_own_process_the_depth_is_measured_and_o
         assert {contact["depth"] for contact in inspect(opened)["contacts"]["handle"]} == {None}
 
 
+@pytest.mark.slow
 def test_syncs_that_were_skipped_in_a_contact_are_part_of_its_time(
     log: Path, account: Inspection, tmp_path: Path
 ) -> None:

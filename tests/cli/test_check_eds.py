@@ -265,6 +265,7 @@ def test_what_a_dictionary_states_is_taken_over(tmp_path: Path, capsys: Captured
     assert (scene.bus.bitrate, scene.bus.rate) == (500_000, 500.0)
 
 
+@pytest.mark.slow
 def test_a_path_with_every_awkward_letter_survives(tmp_path: Path, capsys: Captured) -> None:
     folder = tmp_path / 'a "b"  # c: [red] Gerät'
     folder.mkdir()

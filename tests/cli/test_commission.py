@@ -135,6 +135,7 @@ def status_of(words: list[str]) -> int:
         return int(str(end.code))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("walked_once")
 def test_in_place_the_scene_before_is_kept(tmp_path: Path) -> None:
     scene = tmp_path / "rig.yaml"

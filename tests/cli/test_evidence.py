@@ -114,6 +114,7 @@ def test_what_was_confirmed_and_when_is_kept_and_changes_no_configuration() -> N
     assert scene.config_hash() == load_scene(DEMO).config_hash()
 
 
+@pytest.mark.slow
 def test_evidence_ends_at_the_first_signal_without_another_run_and_without_a_page_to_sign(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

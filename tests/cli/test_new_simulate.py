@@ -81,7 +81,7 @@ def test_a_scene_runs_without_the_values_of_any_part_of_the_dictionary(part: str
 OBJECTS = [name for name in WITH_DEFAULTS if name[:2] in ("10", "14", "60", "65")]
 
 
-@pytest.mark.slow_but("605B")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "section",  # one in five, and all of them with the slow tests
     [pytest.param(name, marks=pytest.mark.slow if n % 5 else []) for n, name in enumerate(OBJECTS)],

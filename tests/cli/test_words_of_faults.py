@@ -39,6 +39,7 @@ def test_an_emcy_is_told_in_words_with_what_to_do(capsys: pytest.CaptureFixture[
     assert (printed.out + printed.err).count("the drive sent an EMCY") == 1
 
 
+@pytest.mark.slow_but("words3", "words5", "words6")
 @pytest.mark.parametrize(
     "words",
     [

@@ -153,6 +153,7 @@ def test_the_hand_is_on_the_handle_for_the_encoder_alone(monkeypatch: pytest.Mon
     assert session.hands == [False, True, False, False]  # standstill, encoder, first torque, all that follows
 
 
+@pytest.mark.slow
 def test_an_axis_that_no_pulse_moves_gives_none() -> None:
     session = played(Still())
     assert pulse(session, 0) is None

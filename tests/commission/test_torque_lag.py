@@ -129,6 +129,7 @@ def test_what_the_test_cannot_exclude_is_declared_where_less_was_configured() ->
     assert float(value(session.report, "passivity.torque_window")) == pytest.approx(50e-6)
 
 
+@pytest.mark.slow
 def test_a_torque_that_acts_before_its_sync_fails_and_bounds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mass_and_friction, "estimate_lateness", lambda *_: (-1e-3, 1e-5))
     session, _ = timed()

@@ -30,6 +30,7 @@ def torque_after(made, holds, *, skipped, lost=0):
     return made.step(-(19 + holds) * MOVED, torque).torque
 
 
+@pytest.mark.slow_but("guarded-*", "unprotected-damped-0", "internal_dissipation-*", "energy_tank-damped-1")
 @pytest.mark.parametrize("lost", [0, 1])
 @pytest.mark.parametrize("environment", [DAMPED, RELAXING], ids=["damped", "relaxing"])
 @pytest.mark.parametrize("algorithm", algorithms())

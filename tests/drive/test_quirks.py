@@ -53,11 +53,13 @@ def test_every_quirk_has_a_twin_and_a_test() -> None:
     assert set(_QUIRKS) == set(TWINS) == set(ALONE)
 
 
+@pytest.mark.slow_for("slow_enable")
 @pytest.mark.parametrize("name", sorted(_QUIRKS))
 def test_a_drive_with_a_quirk_comes_up_and_gives_the_torque_that_was_asked_for(bench: MakeBench, name: str) -> None:
     assert pushed(benched(bench, name, (name,))) == pytest.approx(1.0, rel=1e-9)
 
 
+@pytest.mark.slow_for("slow_enable-*")
 @pytest.mark.parametrize(("name", "refusal"), [(name, text) for name, text in sorted(ALONE.items()) if text])
 def test_without_its_quirk_the_start_is_refused_and_the_drive_stays_disabled(
     bench: MakeBench, name: str, refusal: str

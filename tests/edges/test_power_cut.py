@@ -56,7 +56,7 @@ def read_all(path: Path) -> None:
             list(quantities.values())
 
 
-@pytest.mark.slow_but("pages_lost-0")
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 20))])
 @pytest.mark.parametrize("cut", [pages_lost, tail_lost])
 def test_what_a_power_cut_leaves_is_read_refused_or_saved_up_to_the_damage(

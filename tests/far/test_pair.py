@@ -138,11 +138,15 @@ def test_a_link_that_was_cut_begins_anew_and_the_positions_meet_without_a_jump(t
     assert np.abs(away[-200:]).min() < 1e-3
 
 
-def test_a_rig_without_its_other_side_and_a_program_on_its_axis_are_refused(tmp_path, capsys):
+def test_a_rig_without_its_other_side_and_a_program_on_its_axis_are_refused():
     with pytest.raises(InputError, match="--with"):
         build(load_scene(HAND))
     with pytest.raises(InputError, match="no program may request its torques"):
         open_rig(HAND)
+
+
+@pytest.mark.slow
+def test_one_command_runs_both_sides_and_logs_each(tmp_path, capsys):
     log = tmp_path / "a.h5"
     assert main(["run", HAND, "--with", WALL, "--duration", "0.1", "--json", "--log", str(log)]) == 0
     said = json.loads(capsys.readouterr().out)

@@ -20,7 +20,7 @@ def hardware(text: str) -> str:
     return str(found)
 
 
-@pytest.mark.slow_but("cia402_servo.eds-*")
+@pytest.mark.slow_but("cia402_servo.eds-CSV", "cia402_servo.eds-CSP")
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("name", [*OURS, *FIT, *UNFIT])
 def test_check_eds_new_check_and_run_agree(

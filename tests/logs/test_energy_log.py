@@ -194,6 +194,7 @@ def test_a_log_can_be_read_while_it_is_written(tmp_path: Path) -> None:
     writer.close()
 
 
+@pytest.mark.slow
 def test_closing_twice_is_harmless_and_an_empty_log_is_a_log(tmp_path: Path) -> None:
     writer = EnergyLogWriter(tmp_path / "empty.h5", PORTS[:1], {}, sample_time_ns=SAMPLE_TIME_NS)
     writer.close("drive absent")

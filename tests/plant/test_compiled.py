@@ -26,7 +26,7 @@ def names(effects):
     return "+".join(effect["type"] for effect in effects) or "bare"
 
 
-@pytest.mark.slow_but("*compliance*", "*hard_stop0*")
+@pytest.mark.slow_but("hard_stop0")
 @pytest.mark.parametrize("effects", SCENES, ids=names)
 def test_a_whole_run_is_the_same_floats_as_its_holds(effects):
     whole, single = make_plant(*effects), make_plant(*effects)

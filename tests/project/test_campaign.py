@@ -28,6 +28,7 @@ def test_a_short_campaign_finds_nothing(kind: str, recorded: Path, capsys: pytes
     assert f"{kind}: {RECORDED} cases, 0 faulty" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_tracebacks_wrong_passes_and_deaths_are_found(tmp_path: Path) -> None:
     def broken(chance: random.Random, folder: Path, run: Session) -> str:
         raise IndexError(chance.random())

@@ -48,6 +48,7 @@ def test_time_and_quantities_have_one_row_per_cycle(stiff: canhaptic.SimulationR
     assert {values.shape for values in stiff.to_numpy().values()} == {stiff.time.shape}
 
 
+@pytest.mark.slow
 def test_a_saved_log_opens_and_is_never_overwritten(stiff: canhaptic.SimulationResult, tmp_path: Path) -> None:
     path = stiff.save(tmp_path / "run.h5")
     with canhaptic.EnergyLog(path) as log:
@@ -56,6 +57,7 @@ def test_a_saved_log_opens_and_is_never_overwritten(stiff: canhaptic.SimulationR
         stiff.save(path)
 
 
+@pytest.mark.slow
 def test_a_log_has_the_account_of_its_run_and_its_columns(stiff: canhaptic.SimulationResult) -> None:
     with stiff.log() as log:
         for key in ("energy_in", "least_interaction", "certificate", "verdict", "first_active"):

@@ -32,6 +32,7 @@ def empty(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_recording_without_torque_fails_unless_that_is_allowed(
     empty: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -167,6 +167,7 @@ def test_a_frame_that_is_sent_on_the_other_bus_is_a_difference(recorded: tuple[P
     assert (sent["channel"], sent["id"]) != ("left", 0x201)
 
 
+@pytest.mark.slow
 def test_a_log_of_other_buses_is_refused(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     (tmp_path / "b.log").write_text(recorded[1].read_text().replace(" right ", " middle "))
     with pytest.raises(
@@ -175,6 +176,7 @@ def test_a_log_of_other_buses_is_refused(recorded: tuple[Path, Path], tmp_path: 
         replay_bus_log(tmp_path / "b.log", load_scene(TWO_BUSES))
 
 
+@pytest.mark.slow
 def test_a_log_with_the_channels_of_the_interfaces_is_understood(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     text = recorded[1].read_text().replace(" left ", " can0 ").replace(" right ", " can1 ")
     (tmp_path / "b.log").write_text(text)

@@ -75,6 +75,7 @@ def display_on(bus: str, name: str) -> Scene:
     return scene_from_mapping(scene, str(path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["wall.yaml", pytest.param("virtual_mass.yaml", marks=pytest.mark.slow)])  # mode 8, 9
 def test_an_admittance_display_moves_and_is_accounted_for_on_ethercat_as_on_can(name: str) -> None:
     on_can, on_line = (run(display_on(bus, name), 150) for bus in ("can", "ethercat"))
@@ -115,6 +116,7 @@ def test_a_study_of_accuracy_offers_another_rpdo_on_a_can_bus_alone() -> None:
     assert list(_delays(on_line, on_line)) == []
 
 
+@pytest.mark.slow
 def test_faults_of_the_line_are_counted_and_the_account_holds() -> None:
     account, error = run(load_scene(SCENE, [SOON, FAULTS, "bus.loss_limit=1"]), 400)[1:]
     assert error is None

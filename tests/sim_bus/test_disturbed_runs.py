@@ -258,6 +258,7 @@ def test_two_runs_of_one_seed_are_the_same_to_the_byte(tmp_path: Path) -> None:
     assert logs[0] == logs[1] != logs[2]
 
 
+@pytest.mark.slow
 def test_an_effect_that_does_nothing_leaves_every_frame_at_its_instant(tmp_path: Path) -> None:
     """The wrapper itself adds nothing: not a nanosecond, not a frame."""
     logs = []

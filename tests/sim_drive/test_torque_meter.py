@@ -153,6 +153,7 @@ def test_a_demand_that_is_read_back_needs_no_bound() -> None:
         assert experiment.rig.drives[0].read_back_bound == 0.0
 
 
+@pytest.mark.slow
 def test_a_lagging_read_back_costs_exactness_and_the_run_says_how_much() -> None:
     """The ledger books the torque at the end of each hold; the true work is that of the torque inside it."""
     errors = []

@@ -194,7 +194,7 @@ def test_a_group_stands_before_its_axes() -> None:
     assert row_of(content, "dissipated").split()[2:] == ["-", "-"]
 
 
-@pytest.mark.slow_but("4")
+@pytest.mark.slow
 @pytest.mark.parametrize("ports", [1, 3, 4, 9])
 def test_no_line_is_longer_than_a_hundred_columns_and_no_figure_is_broken(ports: int) -> None:
     names = [f"a_rather_long_axis_name_{number}" for number in range(ports)]

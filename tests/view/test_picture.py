@@ -116,6 +116,7 @@ def test_an_angle_is_drawn_in_degrees_where_the_scene_gives_angles_so(tmp_path: 
     assert drawn.max() == pytest.approx(np.degrees(position.max()))
 
 
+@pytest.mark.slow
 def test_an_empty_log_is_refused_with_one_message(tmp_path: Path) -> None:
     EnergyLogWriter(tmp_path / "e.h5", [PortDescription("a", "m")], {}, sample_time_ns=1_000_000).close()
     with EnergyLog.open(tmp_path / "e.h5") as log, pytest.raises(InputError, match="nothing to draw"):

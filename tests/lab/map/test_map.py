@@ -58,6 +58,7 @@ def two_controllers(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_the_border_of_the_plain_wall_is_that_of_colgate_within_three_per_cent(plain_wall):
     with SweepTable(plain_wall) as table:
         [field] = fields_of(table)

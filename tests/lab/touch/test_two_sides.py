@@ -73,6 +73,7 @@ def test_a_box_is_touched_in_a_plane() -> None:
     assert least["guarded"] >= -1e-9
 
 
+@pytest.mark.slow
 def test_a_five_bar_is_touched_by_its_handle_whose_force_does_the_work_of_the_motors() -> None:
     assert touched_by_a_sine("five_bar_sphere.yaml", 300)["guarded"] >= -1e-9
     touched = two_sides(load_scene(CONFIGS / "five_bar_sphere.yaml"))
