@@ -189,7 +189,8 @@ class Hdf5File:
         """Return the names inside a group; empty when the group is missing."""
         self._require_own(group)
         with _bounded_memory():
-            return list(self._file[group]) if isinstance(self._file.get(group), h5py.Group) else []
+            found = self._file.get(group)
+            return list(found) if isinstance(found, h5py.Group) else []
 
     def datasets(self) -> list[tuple[str, Dataset]]:
         """Return path and column of every dataset in the file."""

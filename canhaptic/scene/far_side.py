@@ -207,7 +207,7 @@ def _bounds_of_mechanism(of: MechanismScene, place: int) -> dict[str, float]:
 
 def lag_of(axis: AxisScene) -> float:
     """Return the largest time constant from commanded to motor torque [s]; `_NO_LAG` if the motor may not follow."""
-    effects = {of.name: of.parameters for of in axis.simulation.effects} if axis.simulation is not None else {}
+    effects = _effects(axis.simulation)
     lag = float(getattr(effects.get("current_loop"), "time_constant", 0.0))
     slowest: Callable[..., float] | None = getattr(effects.get("voltage_limit"), "slowest_lag", None)
     if slowest is None:
@@ -220,7 +220,7 @@ def least_lateness(axis: AxisScene, bus: "BusParameters | None", effects: "BusEf
 
     On a bus that delays every frame, the position and the torque that answers it come late one after the other.
     """
-    named = {of.name: of.parameters for of in axis.simulation.effects} if axis.simulation is not None else {}
+    named = _effects(axis.simulation)
     lag = 0.0 if "voltage_limit" in named else float(getattr(named.get("current_loop"), "time_constant", 0.0))
     delay = 0.0
     if effects is not None and bus is not None and bus.rpdo == "event":
@@ -361,8 +361,8 @@ def with_torque_errors(accuracy: "Accuracy", axis: AxisScene, simulation: AxisSi
     )
 
 
-def _effects(simulation: AxisSimulation) -> Mapping[str, Parameters]:
-    return {effect.name: effect.parameters for effect in simulation.effects}
+def _effects(simulation: AxisSimulation | None) -> Mapping[str, Parameters]:
+    return {effect.name: effect.parameters for effect in (simulation.effects if simulation is not None else ())}
 
 
 def _value(effects: Mapping[str, Parameters], name: str, key: str, otherwise: float = 0.0) -> float:
@@ -401,10 +401,8 @@ def check_plants(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> 
 
 def _place_in_simulation(axis: AxisScene, simulation: MarkedMapping, part: str) -> SourceLocation:
     """Return the location of the part that a plant refuses: an effect of this type, else the plant."""
-    axes = simulation.get("axes")
-    own = axes.get(axis.parameters.name) if isinstance(axes, MarkedMapping) else None
-    for owner in (own, simulation):
-        effects = owner.get("effects") if isinstance(owner, MarkedMapping) else None
+    for owner in (_section(_section(simulation, "axes"), axis.parameters.name), simulation):
+        effects = owner.get("effects")
         if isinstance(effects, MarkedList):
             for effect, at in effects.items_at():
                 if isinstance(effect, MarkedMapping) and part == effect.get("type"):

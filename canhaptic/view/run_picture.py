@@ -33,13 +33,12 @@ from canhaptic.view.picture_style import (
     scale_of,
 )
 from canhaptic.view.series import (
-    APPLIED,
     TaskPlane,
     decimate,
     decimate_together,
+    drawn_effort,
     faults_of,
     notches_of,
-    panel_of_command,
     task_plane,
 )
 
@@ -88,7 +87,7 @@ class PortPicture:
         self._time = log.time[rows]
         self._axes = log.groups.get(name, ())
         self._movers = [log.ports[axis] for axis in self._axes] or [port]
-        self._panel_of_command = panel_of_command(port)
+        self._of_command, self._applied = drawn_effort(port)
         self.scales: dict[str, float] = {}  # of each panel over time
         self._units: dict[str, str] = {}  # of each panel over time, with the prefix of its scale
         self.plane = task_plane(log, name, rows)
@@ -105,7 +104,7 @@ class PortPicture:
         shown = {
             "path": self.plane is not None,
             "position": True,
-            "velocity": self._panel_of_command == "velocity",
+            "velocity": self._of_command == "velocity",
             "torque": True,
             "energy": energy,
             "surplus": surplus,
@@ -150,7 +149,7 @@ class PortPicture:
             return [(np.cumsum(self._column(name)), {}) for name in ("interaction", "dissipated")]
         if panel == "surplus":
             return [(self._column("surplus"), {**_look("surplus"), "linewidth": 1.3})]
-        alone = {"velocity": "commanded", "torque": APPLIED[self._panel_of_command]}.get(panel, panel)
+        alone = {"velocity": "commanded", "torque": self._applied}.get(panel, panel)
         movers = zip(self._of_movers(_COLUMNS[panel]), self._axes or (alone,), cycle(_OF_AXES))
         return [(values, {"color": colour, "label": label, **_LOOKS[panel]}) for values, label, colour in movers]
 
@@ -159,7 +158,7 @@ class PortPicture:
         look: dict[str, Any] = {**_look("deficit"), "linewidth": 1.0, "linestyle": "--"}
         if panel == "surplus":
             return [(np.cumsum(self._column("deficit")), look)]
-        if panel != "torque" or self._panel_of_command != panel:
+        if panel != "torque" or self._of_command != panel:
             return []
         label = {"label": ACCOUNT["torque_command"].title}
         look = {"linewidth": 2.4, "alpha": 0.3} if self._axes else {"linewidth": 2.2, "alpha": 0.8, **label}

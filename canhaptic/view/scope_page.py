@@ -36,7 +36,7 @@ from canhaptic.view.drawn_handle import (
 from canhaptic.view.html_page import STYLE, verdict_bar
 from canhaptic.view.picture_style import ALARM, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY
 from canhaptic.view.scope_states import StatePanels
-from canhaptic.view.series import APPLIED, FAULTS, LiveLog, News, Plane, PortFacts, decimate_together
+from canhaptic.view.series import FAULTS, LiveLog, News, Plane, PortFacts, decimate_together
 
 _TOOLS: Final = "xpan,xwheel_zoom,xbox_zoom,reset,save"
 _LIVE: Final = Path(__file__).with_suffix(".css").read_text(encoding="utf-8")
@@ -191,14 +191,14 @@ def _port_panels(facts: PortFacts, time: models.Range, source: models.ColumnData
     A group has no position panel, an axis in a group no energy panel, and only an admittance display a velocity panel.
     Lines are straight, not steps, because the values between decimated rows are unknown.
     """
-    units, of_command = facts.units, facts.panel_of_command
+    units, (of_command, name) = facts.units, facts.drawn
     panels: dict[str, tuple[str, int, Sequence[_Glyph]]] = {}  # unit, height and glyphs
     if facts.has_motion:
         panels["position"] = units["position"], 190, [line_of("position", "position", BLUE)]
     if of_command == "velocity":
         panels["velocity"] = units["command"], 190, [line_of("command", "commanded", ORANGE)]
     requested = [line_of("command", ACCOUNT["torque_command"].title, ORANGE, 2.5, alpha=0.8)] * (of_command == "torque")
-    applied = line_of("applied", APPLIED[of_command], BLUE, 1.2)
+    applied = line_of("applied", name, BLUE, 1.2)
     panels["torque" if units["applied"] == "N*m" else "force"] = units["applied"], 190, [*requested, applied]
     if facts.has_account:
         deficit = _known("deficit", "deficit", 1.0, line_dash=[6, 3])

@@ -7,7 +7,7 @@ therefore never waits for the reader, and a log that is replaced, by packing at 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,16 +93,13 @@ class PortFacts(NamedTuple):
     notches: list[float]  # of detents, around the first one [m or rad]
     torque_limit: float  # [N or N*m]; infinite where none is known
     plane: "Plane | None"  # of a group whose handle moves in a plane
-    panel_of_command: Literal["torque", "velocity"]
+    drawn: tuple[str, str]  # see `drawn_effort`
 
 
-def panel_of_command(port: Quantities) -> Literal["torque", "velocity"]:
-    """Return in which panel the commands of a port are drawn."""
-    return "torque" if port.unit("torque_command") == port.unit("torque_applied") else "velocity"
-
-
-APPLIED: Final = {"torque": "applied", "velocity": "on the hand"}
-"""Panel of the commands -> name of the torque or force that acts."""
+def drawn_effort(port: Quantities) -> tuple[str, str]:
+    """Return the panel in which the commands of a port are drawn, and the name of the torque or force that acts."""
+    is_torque = port.unit("torque_command") == port.unit("torque_applied")
+    return ("torque", "applied") if is_torque else ("velocity", "on the hand")
 
 
 def port_facts(log: EnergyLog, name: str) -> PortFacts:
@@ -122,7 +119,7 @@ def port_facts(log: EnergyLog, name: str) -> PortFacts:
     notches = notches_of(log, name, start - reach, start + reach)
     walls, plane = walls_of(log, name), None if name in log.axes else plane_of(log, name)
     return PortFacts(
-        name, name in log.axes, name in log.accounts, units, walls, notches, limit, plane, panel_of_command(port)
+        name, name in log.axes, name in log.accounts, units, walls, notches, limit, plane, drawn_effort(port)
     )
 
 

@@ -90,6 +90,16 @@ class ForceParameters(Parameters):
         return None if match is None else (int(match[1], 16), int(match[2] or "0", 16))
 
 
+_BY_HAND: Final = (
+    ("speed_limit, admittance.acceleration_limit", "largest speed and acceleration that may be commanded"),
+    ("admittance.position_low, position_high", "lowest and highest position to which a command may lead"),
+    ("admittance.velocity_counts", "counts of 0x60FF for 1 m/s or 1 rad/s; left out: counts of 0x6064 per second"),
+    ("admittance.handle_acceleration", "largest acceleration of the handle by drive and hand: an over-estimate"),
+    ("admittance.force.per_count, range, error, slew", "scale and limits of the sensor; canhaptic commission measures"),
+    ("admittance.force.frozen_after", "SYNCs with one count after which the sensor counts as frozen"),
+)
+
+
 class MotionParameters(Parameters):
     """Makes an axis an admittance display: force in, velocity out."""
 
@@ -122,17 +132,7 @@ class MotionParameters(Parameters):
     kind: ClassVar[str] = ADMITTANCE
     target_type: ClassVar[od.DataType] = od.DataType.INTEGER32
     commands: ClassVar[Literal["torque", "motion"]] = "motion"
-    by_hand: ClassVar[tuple[tuple[str, str], ...]] = (
-        ("speed_limit, admittance.acceleration_limit", "largest speed and acceleration that may be commanded"),
-        ("admittance.position_low, position_high", "lowest and highest position to which a command may lead"),
-        ("admittance.velocity_counts", "counts of 0x60FF for 1 m/s or 1 rad/s; left out: counts of 0x6064 per second"),
-        ("admittance.handle_acceleration", "largest acceleration of the handle by drive and hand: an over-estimate"),
-        (
-            "admittance.force.per_count, range, error, slew",
-            "scale and limits of the sensor; canhaptic commission measures",
-        ),
-        ("admittance.force.frozen_after", "SYNCs with one count after which the sensor counts as frozen"),
-    )
+    by_hand: ClassVar[tuple[tuple[str, str], ...]] = _BY_HAND
     ramps: ClassVar[Mapping[int, int | None]] = dict.fromkeys(RAMPS)  # they would change a command that was certified
     quick_stop: ClassVar[Mapping[int, int | None]] = {
         od.QUICK_STOP_DECELERATION: None,
