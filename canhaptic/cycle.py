@@ -155,7 +155,7 @@ class Cycle:
         rig, read = self.rig, self._truths
         truths = read() if read is not None else None
         if rig.periods > 1:
-            self.all_ports.skipped(rig.periods)
+            self.all_ports.note_skipped_syncs(rig.periods)
         balances = self._at_rest.copy()
         for port in self._steps:  # displacement -> energy balance [J]
             port.step(samples, balances)

@@ -99,7 +99,7 @@ def recompute(
     stopping, arrived = row_of_stop(log), far_rows(log)
     for row, (periods, seen, expected) in enumerate(rows):
         ports = stop() if row == stopping and stop is not None else ports
-        ports.skipped(periods)
+        ports.note_skipped_syncs(periods)
         for program, asked in programs:
             program.ask(-next(asked))
         for port, given in zip(coupled, arrived, strict=False):
@@ -497,7 +497,7 @@ class _Derivation:
         """
         if self.cycles == self._stopping:
             self._ports = stop_of(self._scene, self._ports.ports, dry_run=self._dry_run)
-        self._ports.skipped(periods)
+        self._ports.note_skipped_syncs(periods)
         for axis, sample, is_demand in zip(self._torques, samples, shown, strict=True):
             axis.take(sample, periods, is_demand)
         balances = self._ports.balances_of(samples)

@@ -87,11 +87,11 @@ class Ports:
         """Controller of each axis that is a port by itself, by its index."""
         return {port.row: port.controller for port in self.ports if port.row < self.axes}
 
-    def skipped(self, periods: int) -> None:
+    def note_skipped_syncs(self, periods: int) -> None:
         """Record that SYNCs were skipped: the hold that ends next lasted this number of sample times."""
         for port in self.ports:
-            if periods > 1 and hasattr(port.controller, "skipped"):
-                port.controller.skipped(float(periods))
+            if periods > 1 and hasattr(port.controller, "note_skipped_syncs"):
+                port.controller.note_skipped_syncs(float(periods))
 
     def step(self, samples: Sequence[Sample], balances: list[EnergyBalance]) -> None:
         """Step every port; see `Port.step`."""

@@ -330,8 +330,8 @@ class LaterLaw:
         for number, controller in enumerate(self._controllers):
             for _ in range(missed):
                 controller.sample_lost()
-            if periods > 1 and hasattr(controller, "skipped"):
-                controller.skipped(float(periods))
+            if periods > 1 and hasattr(controller, "note_skipped_syncs"):
+                controller.note_skipped_syncs(float(periods))
             position, torque, fresh = reports[3 * number : 3 * number + 3]
             balance = controller.step(position, torque) if fresh else controller.sample_lost()
             self._torques[number] = balance.torque

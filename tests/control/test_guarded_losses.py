@@ -110,7 +110,7 @@ def test_a_sync_that_was_skipped_behind_a_lost_sample_counts_as_another_lost_one
             held = controller.step(position, 0.0).torque
         controller.sample_lost()
         if is_skipped:
-            controller.skipped(2.0)
+            controller.note_skipped_syncs(2.0)
         else:
             controller.sample_lost()
         balances = [controller.step(6e-3, held), controller.step(7e-3, held)]

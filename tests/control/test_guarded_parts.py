@@ -168,7 +168,7 @@ def test_a_lost_sample_repeats_the_torque_and_says_nothing_of_damping_and_certif
 def test_the_motion_over_skipped_syncs_is_a_mean() -> None:
     controller = Guarded(WALL, GuardedParameters(), loop())
     controller.step(0.01, 0.0)
-    controller.skipped(3.0)
+    controller.note_skipped_syncs(3.0)
     controller.step(0.016, 0.0)
     assert controller._state.motion.step == pytest.approx(0.002)
 

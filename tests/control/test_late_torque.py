@@ -150,7 +150,7 @@ def test_a_hold_that_lasted_longer_counts_by_its_last_sample_time(delay: int) ->
     for hold_length in (1.0, 3.0):
         controller, held = made(1e-2, delay, 1e4, 0.0, {"hand_force": 5.0}, {}), 0.0
         controller.step(1e-3, held)
-        controller.skipped(hold_length)
+        controller.note_skipped_syncs(hold_length)
         torques.append(controller.step(-5e-3, held).torque)
         assert controller.step(-11e-3, held).torque > 0.0  # the next hold is one of the usual length
     assert torques[0] > 2.0 * torques[1]

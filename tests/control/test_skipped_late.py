@@ -31,7 +31,7 @@ def beyond(case: str, hand: list[list[float]], late: list[float], first: int, sp
     booked, worst, periods = 0.0, -1.0, 1
     for hold, (forces, change) in enumerate(zip(hand, late, strict=True)):
         if periods > 1:
-            controller.skipped(float(periods))
+            controller.note_skipped_syncs(float(periods))
         balance = controller.step(plant.position, held)
         booked += balance.h_i
         true = -plant.given

@@ -26,7 +26,7 @@ def torque_after(made, holds, *, skipped, lost=0):
     if skipped:
         for _ in range(lost):
             made.sample_lost()
-        made.skipped(float(holds - lost))
+        made.note_skipped_syncs(float(holds - lost))
     return made.step(-(19 + holds) * MOVED, torque).torque
 
 
@@ -53,12 +53,12 @@ def test_a_windowed_velocity_is_the_mean_of_the_whole_hold(parameters):
 
 def test_skips_before_the_first_sample_and_several_in_a_gap_are_counted():
     made = controller("unprotected", DAMPED)
-    made.skipped(9.0)
+    made.note_skipped_syncs(9.0)
     made.step(0.0, 0.0)
     assert made.step(-MOVED, 0.0).torque == pytest.approx(0.6, rel=0.01)
-    made.skipped(3.0)
+    made.note_skipped_syncs(3.0)
     made.sample_lost()
-    made.skipped(2.0)
+    made.note_skipped_syncs(2.0)
     assert made.step(-6.0 * MOVED, 0.6).torque == pytest.approx(0.6, rel=0.02)
 
 
@@ -70,6 +70,6 @@ def test_what_a_skip_inside_a_gap_leaves_open_is_taken_off():
         made.step(0.0, 0.0)
         made.step(-MOVED, 0.0)
         made.sample_lost()
-        made.skipped(1.0 + skipped)
+        made.note_skipped_syncs(1.0 + skipped)
         books.append(made.step(-2.0 * MOVED, 0.0).h_i)
     assert books[1] < 5.0 * books[0] < 0.0

@@ -153,7 +153,7 @@ class AdmittanceController(ABC, Generic[_Axis]):
     def _miss(self) -> None:
         """Update the state for a hold that ended without a sample, and send the next commands."""
 
-    def skipped(self, periods: float) -> None:
+    def note_skipped_syncs(self, periods: float) -> None:
         """Treat skipped SYNCs as lost samples, during which the last commands continued to act."""
         skipped, own = (round(periods) - 1) * self._started, self._own()
         for axis in self._each:
@@ -228,7 +228,11 @@ class OneDisplay:
 
     def __init__(self, controller: Any) -> None:
         self.of = controller
-        self.reset, self.skipped, self.fade = controller.reset, controller.skipped, controller.fade
+        self.reset, self.note_skipped_syncs, self.fade = (
+            controller.reset,
+            controller.note_skipped_syncs,
+            controller.fade,
+        )
         for name in ("max_consecutive_losses", "energy_allowance"):
             if hasattr(controller, name):
                 setattr(self, name, getattr(controller, name))

@@ -92,7 +92,7 @@ class GuardedAdmittance(AdmittanceController[GuardedAxis]):
         self._environment.go_along(self._inner, before, self._own(), self._time)
         self._watch_limit()
 
-    def skipped(self, periods: float) -> None:
+    def note_skipped_syncs(self, periods: float) -> None:
         """Update margins and states for skipped SYNCs: no command was sent, and the queued ones acted longer."""
         skipped = round(periods) - 1
         if not self._started:

@@ -646,7 +646,7 @@ class SteppedGroup:
         self._last = group_at_rest(self.axes)
         self._started = False
 
-    def skipped(self, periods: float) -> None:
+    def note_skipped_syncs(self, periods: float) -> None:
         """Treat skipped SYNCs as lost samples: only the total displacement of all holds is known.
 
         Args:

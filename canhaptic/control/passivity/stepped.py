@@ -163,7 +163,7 @@ class SteppedController:
         self._axis.missed += 1
         return self._last.torque
 
-    def skipped(self, periods: float) -> None:
+    def note_skipped_syncs(self, periods: float) -> None:
         """Lengthen the hold that ends at the next `step` to `periods` sample times, because SYNCs were skipped."""
         self._axis.hold_length += periods - 1.0
 

@@ -182,5 +182,5 @@ def test_an_integral_proves_nothing_where_holds_are_uneven_or_may_be_longer(
     assert (before.certificate == Certificate.NONE.value) is (jitter > 0.0)
     if loses:
         controller.sample_lost()
-        controller.skipped(2.0)
+        controller.note_skipped_syncs(2.0)
         assert controller.step(0.0, -0.5).certificate == Certificate.NONE.value

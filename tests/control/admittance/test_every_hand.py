@@ -368,7 +368,7 @@ def test_where_syncs_are_skipped_the_margin_stays_below_the_true_one(delay: int,
     assert acting != loop.queue[-1] or delay == 0
     for _ in range(8):
         loop.drive.hold(acting, take)
-    loop.controller.skipped(8.0)
+    loop.controller.note_skipped_syncs(8.0)
     loop.controller.step(float(loop.drive.state[0]), 0.0)
     true = loop.drive.energy - loop.drive.reserve
     assert true - 0.5 < loop.controller.of._loop.known <= true + 1e-9

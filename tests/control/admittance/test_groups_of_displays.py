@@ -154,7 +154,7 @@ def test_the_account_of_a_guarded_group_closes(of: str) -> None:
     for k in range(400):
         force = [6.0 * math.cos(0.03 * k), 6.0 * math.sin(0.03 * k)]
         if k % 50 == 40:
-            controller.skipped(2.0)
+            controller.note_skipped_syncs(2.0)
         balance = controller.sample_lost() if k % 70 == 60 else controller.step(place, [-f for f in force])
         account = balance.account
         if k % 70 != 60:
@@ -189,7 +189,7 @@ def test_two_equal_axes_are_one_axis_with_twice_the_energy(
         controller, place, speeds = build_display_group(environment, name, model(**given, **alpha), known), 0.0, []
         for k in range(80):
             if k == 50:
-                controller.skipped(3.0)  # type: ignore[attr-defined]
+                controller.note_skipped_syncs(3.0)  # type: ignore[attr-defined]
             force = 8.0 * math.sin(0.05 * k) + 3.0 * math.sin(0.23 * k)
             lost = k % 40 == 30
             balance = controller.sample_lost() if lost else controller.step([place] * axes, [-force] * axes)
@@ -294,7 +294,7 @@ def test_a_torque_limit_may_be_reached_where_no_sample_shows_it(holds: int, cert
 
 def test_a_skipped_sync_changes_no_command() -> None:
     controller, found = run("unprotected", 50)
-    controller.skipped(3.0)
+    controller.note_skipped_syncs(3.0)
     assert tuple(axis.commands.speed for axis in controller._each) == found[-1].torques
     assert [axis.port.missed for axis in controller._each] == [2, 2]
 
@@ -305,7 +305,7 @@ def test_a_skipped_sync_costs_a_guarded_group_what_its_commands_may_cost() -> No
     controller: Any = build_display_group(GroupMass(mass=2.0), "guarded", drive, [properties()] * 2)
     sent = [controller.step([0.0, 0.0], [-force, 2.0 * force]).torques for force in (0.0, 3.0, 0.0, 7.0)]
     before = controller._loop.known
-    controller.skipped(3.0)
+    controller.note_skipped_syncs(3.0)
     lost = 2.0 * sum(0.25 * 100.0 * TIME * speed * speed for speed in sent[-2])
     assert 0.0 < lost == pytest.approx(before - controller._loop.known)
     assert tuple(axis.commands.speed for axis in controller._each) == sent[-1]

@@ -231,7 +231,7 @@ def test_a_slow_motion_that_lasted_longer_certifies_a_group_no_fast_one(delay):
     for hold_length in (1.0, 3.0):
         of = group(Plane(normal=(1.0,), stiffness=1e4, damping=0.0), 1, sample_time=1e-2, delay=delay, hand_force=5.0)
         of.step([1e-3], [0.0])
-        of.skipped(hold_length)
+        of.note_skipped_syncs(hold_length)
         torques.append(of.step([-5e-3], [0.0]).torques[0])
         assert of.step([-11e-3], [0.0]).torques[0] > 0.0  # the next hold is one of the usual length
     assert torques[0] > 2.0 * torques[1]
