@@ -43,7 +43,7 @@ class Mass:
         return moved
 
 
-@pytest.mark.slow
+@pytest.mark.slow_but("0.05-0.02-*-2", "-0.02-0.0-1-*", "0.0--0.3-0-*")
 @pytest.mark.parametrize("losses", [1, 2, 4])
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize(("velocity", "mover"), [(-0.02, 0.0), (0.0, 0.0), (0.05, 0.0), (0.05, 0.02), (0.0, -0.3)])
