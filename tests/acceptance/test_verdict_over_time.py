@@ -68,7 +68,6 @@ def test_what_the_account_knows_once_it_says_until_the_end(
         assert account["contradicted"] == ["hand_force"]
 
 
-@pytest.mark.slow
 def test_a_changed_latch_in_a_log_is_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run(tmp_path, FALSE["a mass behind a shaft"], 1.3)
     capsys.readouterr()
@@ -80,7 +79,6 @@ def test_a_changed_latch_in_a_log_is_noticed(tmp_path: Path, capsys: pytest.Capt
     assert outcome["mismatch"]["quantity"] == "active"
 
 
-@pytest.mark.slow
 def test_a_resolution_that_is_an_estimate_says_no_at_no_time() -> None:
     changes = {"passivity": {"algorithm": "unprotected", "current_lag": "0.2 ms"}, "environment.stiffness": "10 kN/m",
                "environment.damping": 0.0}  # fmt: skip

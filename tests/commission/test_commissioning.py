@@ -24,6 +24,7 @@ from canhaptic.drive.can.link import Link
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.errors import InputError, StartError
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.models import TO_SET
 from tests.commission.whole_session import DEMO, whole_session
 
 CONFIGS = DEMO.parent
@@ -366,6 +367,14 @@ def test_a_value_is_written_where_the_scene_has_it(scene: str, key: str, path: t
     for axis, measured in zip(loaded.axes, (2.0, 1.0), strict=False):
         report.values.append(Value(axis.parameters.name, key, measured, "kg"))
     assert [change.value for change in report.changes(loaded) if change.path == path] == ["2 kg"]
+
+
+def test_what_a_simulated_drive_gave_is_marked_for_a_real_one_and_verifies_no_torque() -> None:
+    loaded, report = load_scene(DEMO), Report()
+    report.values += [Value("handle", "torque_verified", "mass", ""), Value("handle", "counts_per_unit", 1e5, "1/m")]
+    [change] = report.changes(loaded)
+    assert change.path[-1] == "counts_per_unit"
+    assert (change.comment or "").startswith(TO_SET)
 
 
 def test_a_failure_that_no_value_mends_and_a_step_that_was_left_out_are_named() -> None:

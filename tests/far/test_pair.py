@@ -155,7 +155,6 @@ def test_one_command_runs_both_sides_and_logs_each(tmp_path, capsys):
     assert said["far"]["sessions"] == said["with"]["far"]["sessions"] == 1
 
 
-@pytest.mark.slow
 def test_two_logs_are_joined_by_their_packets_and_a_log_that_hides_energy_fails(run, tmp_path):
     first, second = run[1]
     with EnergyLog.open(first) as log, EnergyLog.open(second) as other:

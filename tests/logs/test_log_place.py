@@ -185,7 +185,6 @@ def test_pictures_pages_tables_and_scenes_go_onto_regular_files_alone(
         assert link.is_symlink()
 
 
-@pytest.mark.slow
 def test_a_link_in_the_place_of_the_temporary_file_is_not_followed(tmp_path: Path) -> None:
     mine = tmp_path / "mine.txt"
     mine.write_text("mine")
