@@ -1,7 +1,6 @@
 """Table and picture of `canhaptic compare`.
 
-The table has a column per algorithm and a row per figure, the best value in bold; impedance axes, groups and admittance
-displays have different rows.
+The table has a column per algorithm and a row per figure that a run of the port has, the best value in bold.
 
 The picture has a column per algorithm, with the continuous environment in grey behind its lines. All panels of a row
 share the scale of the continuous run, so that columns can be compared, and an algorithm that diverges leaves its panel
@@ -50,9 +49,8 @@ def comparison_report(result: _Account) -> RenderableType:
         result: Plain values, as `compare --json` prints them.
     """
     parts: list[RenderableType] = [_heading(result)]
-    for title, part, rows in _parts(result):
-        ranked = [_ranking(part)] if rows is _ROWS and len(part["algorithms"]) > 1 else []
-        parts += [Text(f" {title}"), _table(part, rows), *ranked, *_remarks(part)]
+    for title, part in _parts(result):
+        parts += [Text(f" {title}"), _table(part), *_ranking(part), *_remarks(part)]
     return Group(*parts)
 
 
@@ -66,22 +64,27 @@ def write_comparison_page(comparison: Comparison, path: Path) -> None:
     parts: list[str | Table] = [words(_heading(result).plain.strip())]
     if any(map(_drawn, comparison.axes)):
         parts.append(picture(partial(draw_comparison, comparison), "comparison"))
-    for title, part, rows in _parts(result):
-        parts += [replace(_table(part, rows), title=title), words(*(line.plain for line in _remarks(part)))]
+    for title, part in _parts(result):
+        parts += [replace(_table(part), title=title), words(*(line.plain for line in _remarks(part)))]
     write_page(path, f"{scene_title(result['scene'])} - comparison", parts)
 
 
-def _parts(result: _Account) -> Iterator[tuple[str, _Account, tuple["_Row", ...]]]:
-    """Yield (title, accounts, rows of its table) of each axis, group or admittance display."""
-    for name, group in result.get("groups", {}).items():
-        yield f"{name}: {group['network']} on {', '.join(group['axes'])}", group, _GROUP_ROWS
-    for name, axis in result.get("axes", {}).items():
-        if "algorithms" in axis:
-            yield f"{name}: {axis['environment']}   continuous reference: {axis['reference']['method']}", axis, _ROWS
-        else:
-            accounts = [of["account"] for of in axis.values() if "account" in of]
-            model = next((f": {account['environment']}" for account in accounts if "environment" in account), "")
-            yield f"{name}{model}", {"algorithms": axis, "unit": ""}, _DISPLAY_ROWS
+def _parts(result: _Account) -> Iterator[tuple[str, _Account]]:
+    """Yield title, unit and accounts of each port; an account has its figures of the run, and those of the plant."""
+    for name, port in {**result.get("groups", {}), **result.get("axes", {})}.items():
+        found = {key: _figures(account) for key, account in port.get("algorithms", port).items()}
+        known = {key: value for account in found.values() for key, value in account.items()} | port
+        what = known.get("network") or known.get("environment")
+        title = f"{name}: {what}" if what else name
+        if "network" in known:
+            title += f" on {', '.join(known['axes'])}"
+        if "reference" in known:
+            title += f"   continuous reference: {known['reference']['method']}"
+        yield title, {"algorithms": found, "unit": known.get("unit", "")}
+
+
+def _figures(account: _Account) -> _Account:
+    return {**account.get("account", {}), **account, **account.get("truth", {})}
 
 
 def _heading(result: _Account) -> Text:
@@ -95,7 +98,7 @@ def _heading(result: _Account) -> Text:
 
 def _engines(result: _Account) -> list[str]:
     """Return the names of the engines that computed the runs, such as python and numba."""
-    every = (account.get("engine") for _, part, _ in _parts(result) for account in part["algorithms"].values())
+    every = (account.get("engine") for _, part in _parts(result) for account in part["algorithms"].values())
     return sorted({engine.partition(":")[0] for engine in every if engine}) or ["python"]
 
 
@@ -109,9 +112,9 @@ class _Row(NamedTuple):
     is_bounded: bool = False  # whether a value below zero is a fault
 
 
-def _table(part: _Account, of: tuple[_Row, ...]) -> Table:
+def _table(part: _Account) -> Table:
     rows: list[list[Cell]] = []
-    for row in of:
+    for row in _ROWS:
         values = [_value(row.read, part, account) for account in part["algorithms"].values()]
         if any(value is not None for value in values):
             best = _best(values, row.better)
@@ -143,27 +146,28 @@ def _best(values: list[float | str | None], better: Callable[[float], float] | N
 
 def _verdict(account: _Account) -> str | None:
     """Return yes if, by the plant's energy, the handle never gave out more than it received; else no, or an outcome."""
-    least = account.get("truth", account)["least_interaction"]
+    least = account["least_interaction"]
     if least is None or least < -PASSIVE_TOLERANCE:
         return None if least is None else "no"
     return str(account.get("outcome") or "yes")
 
 
-def _ranking(part: _Account) -> Text:
-    """Return the ranking of the algorithms in words: guaranteed ones first, then passive ones, then by error."""
+def _ranking(part: _Account) -> list[Text]:
+    """Return the ranking in words: guaranteed ones first, then passive ones, then by error; none without errors."""
+    if len(part["algorithms"]) < 2 or not any("position_error" in account for account in part["algorithms"].values()):
+        return []
 
     def worth(name: str) -> tuple[bool, bool, bool, float]:
         account = part["algorithms"][name]
         error = _value(lambda of, _: of["position_error"]["rms"], part, account)
         passive = _value(lambda of, _: _verdict(of), part, account)
-        is_luck = account["certificate"] == "none"
+        is_luck = account.get("certificate") == "none"
         length = error if isinstance(error, float) else math.inf
         return account["status"] != "completed", passive != "yes", is_luck, length
 
     words = [f"{place} {name}" for place, name in enumerate(sorted(part["algorithms"], key=worth), 1)]
-    return Text(
-        f" ranking: {', '.join(words)} (passive ones first, of them those with a guarantee, then by position error)"
-    )
+    order = "passive ones first, of them those with a guarantee, then by position error"
+    return [Text(f" ranking: {', '.join(words)} ({order})")]
 
 
 def _remarks(axis: _Account) -> list[Text]:
@@ -185,11 +189,6 @@ def _share(value: float, _unit: str) -> str:
     return f"{100.0 * value:.3g} %"
 
 
-def _damping(account: _Account, group: _Account) -> str:
-    rendered = account["damping_rendered"]
-    return f"{rendered['least']:.3g}..{rendered['most']:.3g} {damping_unit(group['unit'])}"
-
-
 def _premise(account: _Account) -> str:
     words = rests_on(account["certificate"], hand_force=account.get("hand_force"))
     words = words.replace("no guarantee", "no\nguarantee").replace("needs no ", "needs no\n")  # narrow columns
@@ -207,16 +206,6 @@ def figure_row(name: str, row: QuantityRow) -> _Row:
     return _Row(row.title, read, _SHOWN[row.unit], _BETTER.get(row.better), row.better == "not negative")
 
 
-def _accounted(name: str, read: Callable[[_Account, _Account], Any]) -> _Row:
-    row = ACCOUNT[name]
-    return _Row(row.title, read, _joule, is_bounded=row.better == "not negative")
-
-
-def _true(name: str) -> _Row:
-    row = TRUTH[name]
-    return _Row(row.title, lambda a, _: a["truth"][name], _joule, is_bounded=row.better == "not negative")
-
-
 _STYLES: Final = {"yes": "green", "in doubt": "yellow", "no": "red", "nothing rendered": "red"}
 _BETTER: Final[dict[str, Callable[[float], float]]] = {"less": abs, "near one": lambda value: abs(value - 1.0)}
 _SHOWN: Final[dict[str, Callable[[float, str], str]]] = {
@@ -224,40 +213,23 @@ _SHOWN: Final[dict[str, Callable[[float, str], str]]] = {
     "N": lambda value, unit: si(value, effort_unit(unit), 3),
     "J": _joule,
     "1": _share,
+    "N*s/m": lambda value, unit: f"{value:.3g} {damping_unit(unit)}",
     "": lambda value, _unit: f"{value:.3g}",
 }
+_ACCOUNTED: Final = ("in", "out", "dissipated", "energy_resolution")
 _ROWS: Final = (
-    _Row("", lambda a, _: a["status"]),
-    _Row(SUMMARY["passive_by_plant"].title, lambda a, _: _verdict(a)),
-    *(figure_row(name, figure.row) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.row.better),
-    _Row(ACCOUNT["certificates"].title, lambda a, _: _premise(a) if a["contact"] else None),
-    _Row(SUMMARY["time_of_step"].title, lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
-)
-_GROUP_ROWS: Final = (
     _Row("", lambda a, _: a["status"]),
     _Row(SUMMARY["passive_by_account"].title, lambda a, _: a["passive"]),
     _Row(SUMMARY["passive_by_plant"].title, lambda a, _: _verdict(a)),
-    _true("least_interaction"),
-    _accounted("margin", lambda a, _: a["margin"]["value"]),
-    _true("accounted_error"),
-    _accounted("in", lambda a, _: a["in"]),
-    _accounted("out", lambda a, _: a["out"]),
-    _accounted("dissipated", lambda a, _: a["dissipated"]),
+    *(figure_row(name, figure.row) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.row.better),
+    figure_row("interaction", TRUTH["interaction"]),
+    *(figure_row(name, ACCOUNT[name]) for name in _ACCOUNTED),
     _Row(f"{ACCOUNT['surplus'].title}, peak", lambda a, _: a["surplus"]["max"], _joule),
-    _Row(ACCOUNT["damping_rendered"].title, _damping),
-    _Row(ACCOUNT["certificates"].title, lambda a, _: _premise(a)),
+    *(figure_row(name, METRICS[name].row) for name in ("damping_rendered.least", "damping_rendered.most")),
+    _Row(ACCOUNT["certificates"].title, lambda a, _: _premise(a) if a["contact"] else None),
+    _Row(SUMMARY["time_of_step"].title, lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
 )
-_DISPLAY_ROWS: Final = (
-    _Row("", lambda a, _: a["status"]),
-    _accounted("in", lambda a, _: a["account"]["in"]),
-    _accounted("out", lambda a, _: a["account"]["out"]),
-    _Row(f"{ACCOUNT['energy_resolution'].title}, + only", lambda a, _: a["account"]["energy_resolution"], _joule),
-    _Row(SUMMARY["passive_by_account"].title, lambda a, _: a["account"]["passive"]),
-    _Row(SUMMARY["passive_by_plant"].title, lambda a, _: _verdict(a)),
-    _Row(ACCOUNT["certificates"].title, lambda a, _: _premise(a["account"])),
-    _true("interaction"),
-    _true("least_interaction"),
-)
+"""Rows of the table; one of which no run has the value is left out."""
 
 
 _ACROSS: Final = 4

@@ -27,7 +27,7 @@ from canhaptic.lab.loop.over_can import Progress, accounts_over_can, heading_of,
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row
 from canhaptic.quantities import with_old_names
-from canhaptic.scene.models import AxisScene, Scene
+from canhaptic.scene.models import AxisScene, Port, Scene
 
 _BATCH: Final = 64  # cycles between two reports of progress
 
@@ -107,12 +107,9 @@ def compare(
         scene = axis_loop.at_rate(scene, rate)
         cases = [case._replace(scene=axis_loop.at_rate(case.scene, rate)) for case in cases]
     cycles, names = axis_loop.cycles_of(scene, duration), [case.algorithm for case in cases]
-    if axis_loop.is_display(scene):
-        result = {**heading_of(scene, cycles), "axes": _over_can(scene, names, cycles, progress)}
-    elif scene.groups:
-        result = _of_groups(scene, names, cycles, "python" if over_can else engine, progress)
-    else:
+    if has_references(scene):
         return _of_axes(scene, cases, cycles, _counter(progress), None if over_can else engine, repeats)
+    result = _of_ports(scene, names, cycles, "python" if over_can else engine, progress)
     return Comparison(result, (), scene.bus.sample_time)
 
 
@@ -165,7 +162,7 @@ def _of_axes(
     scene: Scene, asked: Sequence[Case], cycles: int, counter: Callable[[], None], engine: Engine | None, repeats: int
 ) -> Comparison:
     """Compare algorithms on single axes, with an engine without a bus, or over CAN where `engine` is None."""
-    axis_loop.require_single_axes(scene, "compare")
+    axis_loop.require_near(scene)
     if not all(axis.simulation is not None for axis in scene.axes):
         raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user to compare on; add one")
     alone = axis_loop.parts_of(scene).values()
@@ -245,63 +242,63 @@ def _of_axis(
     return AxisComparison(axis.parameters.name, axis.parameters.unit, reference, runs), account
 
 
-def _over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
-    """Return the accounts of each display or group over the whole CAN path, by algorithm."""
-    runs = accounts_over_can(scene, names, cycles, progress)
-    account = _of_display if axis_loop.is_display(scene) else _of_group
-    return {part: {name: account(part, of) for name, of in runs.items()} for part in axis_loop.parts_of(scene)}
-
-
-def _of_display(axis: str, found: Row) -> Row:
-    if "ports" not in found:
-        return {"status": found["status"], "remark": found["remark"]}
-    status, port = f"{found['status']}: {found['remark']}" if found["remark"] else found["status"], found["ports"][axis]
-    return {"status": status, "outcome": _outcome(port), "account": port, "truth": found["truth"][axis]}
-
-
-def _outcome(port: Row) -> str:
-    """Return the outcome of a run over CAN, by the headline of a port."""
-    return port["verdict"] if port["verdict"] in OUTCOMES else ""
-
-
-def _of_groups(scene: Scene, names: Sequence[str], cycles: int, engine: Engine, progress: Progress | None) -> Row:
-    """Return the comparison of groups: over the whole CAN path, or each with its motors compiled without a bus."""
-    if alone := ", ".join(axis.parameters.name for axis in scene.axes if not axis.group):
-        raise InputError(f"{scene.source}: has groups, and axes outside groups ({alone}); make a scene of each")
-    chosen = chosen_engine(engine, len(names) * len(scene.groups) * cycles >= WORTH_COMPILING_GROUPS)
-    accounts = _over_can if chosen == "python" else _groups_compiled
-    found = accounts(scene, names, cycles, progress)
+def _of_ports(scene: Scene, names: Sequence[str], cycles: int, engine: Engine, progress: Progress | None) -> Row:
+    """Return the comparison of ports without a continuous run: over the whole CAN path, or compiled without a bus."""
+    ports = scene.ports
+    if alone := ", ".join(port.name for port in ports if not port.section and port.causality is IMPEDANCE):
+        raise InputError(f"{scene.source}: has torque axes by themselves ({alone}), and others; make a scene of each")
+    pays = len(names) * len(ports) * cycles >= WORTH_COMPILING_GROUPS
+    torques = all(port.causality is IMPEDANCE for port in ports)
+    is_direct = torques and chosen_engine(engine, pays) == "numba"
+    found = (_compiled if is_direct else _over_can)(scene, names, cycles, progress)
+    heading = heading_of(scene, cycles, "direct" if is_direct else "can")
+    if not torques:
+        return {**heading, "axes": found}
     groups = {
-        group.name: {
-            "axes": list(group.axes),
-            "network": group.network.name,
-            "unit": scene.axis(group.axes[0]).parameters.unit,
-            "algorithms": found[group.name],
+        port.name: {
+            "axes": [axis.parameters.name for axis in port.axes],
+            "network": port.rendered.name,
+            "unit": port.axes[0].parameters.unit,
+            "algorithms": found[port.name],
         }
-        for group in scene.groups
+        for port in ports
     }
-    return {**heading_of(scene, cycles, "can" if chosen == "python" else "direct"), "groups": groups}
+    return {**heading, "groups": groups}
 
 
-def _of_group(name: str, found: Row) -> Row:
-    account = {"status": found["status"], "remark": found["remark"], "engine": "python"}
-    if "ports" in found:
-        port = found["ports"][name]
-        account |= {**port, "outcome": _outcome(port), "truth": found["truth"].get(name)}
-    return account
+def _over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
+    """Return the accounts of each port over the whole CAN path, by algorithm."""
+    runs = accounts_over_can(scene, names, cycles, progress)
+    return {port.name: {name: _account(port, of) for name, of in runs.items()} for port in scene.ports}
 
 
-def _groups_compiled(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
-    parts, found = axis_loop.parts_of(scene), {group.name: Row() for group in scene.groups}
-    for done, (group, name) in enumerate(product(found, names), 1):
-        found[group][name] = _compiled(parts[group], name, cycles)
+def _account(port: Port, found: Row) -> Row:
+    """Return the account of a port in a run over CAN; of drives that take velocities it is an entry of its own."""
+    status, remark = found["status"], found["remark"]
+    account = {"status": status, "remark": remark}
+    if port.causality is IMPEDANCE:
+        account["engine"] = "python"
+    if "ports" not in found:
+        return account
+    own, truth = found["ports"][port.name], found["truth"].get(port.name)
+    outcome = own["verdict"] if own["verdict"] in OUTCOMES else ""  # by the headline of the port
+    if port.causality is IMPEDANCE:
+        return {**account, **own, "outcome": outcome, "truth": truth}
+    return {"status": ": ".join(filter(None, (status, remark))), "outcome": outcome, "account": own, "truth": truth}
+
+
+def _compiled(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
+    """Return the accounts of each port without a bus, by algorithm."""
+    parts, found = axis_loop.parts_of(scene), {port.name: Row() for port in scene.ports}
+    for done, (port, name) in enumerate(product(found, names), 1):
+        found[port][name] = _account_of_run(parts[port], name, cycles)
         if progress is not None:
             progress(done * cycles // len(found))
     return found
 
 
-def _compiled(scene: Scene, name: str, cycles: int) -> Row:
-    """Return the account of one group; the plant's own energies say whether it was passive."""
+def _account_of_run(scene: Scene, name: str, cycles: int) -> Row:
+    """Return the account of the only port; the plant's own energies say whether it was passive."""
     try:
         run = render_group("numba", axis_loop.under(scene, name).permitted(), cycles)
     except ParameterError as error:
