@@ -37,7 +37,7 @@ class Figure(NamedTuple):
 
     row: QuantityRow  # unit, title, meaning
     sums: tuple[str, ...] = ()  # sums from which it is computed; fields of `meter.Meter`, and of the continuous run
-    of: Callable[["_Display"], float] = lambda _: nan  # computes the figure for an admittance display
+    of: Callable[["_Moved"], float] = lambda _: nan  # computes the figure for an admittance display
 
 
 _OF_BRANCHES: Final = ("free", "start", "exact", "sticky", "fallback", "depleted", "exit")
@@ -240,7 +240,7 @@ def _at_rest(metric: str, sums: Mapping[str, Array]) -> Array:
     return np.where(known, sums["last_force"] / (state if metric.endswith("value") else asked), np.nan)
 
 
-class _Display(NamedTuple):
+class _Moved(NamedTuple):
     """A run of an admittance display, with values that several figures need."""
 
     run: AdmittanceRun
@@ -253,7 +253,7 @@ class _Display(NamedTuple):
 DISPLAY_METRICS: Final = {
     name: Figure(FIGURES[name], of=of)
     for name, of in cast(
-        "dict[str, Callable[[_Display], float]]",
+        "dict[str, Callable[[_Moved], float]]",
         {
             "diverged": lambda d: bool(d.run.ended),
             "cycles": lambda d: len(d.run.rows),
@@ -285,8 +285,8 @@ def figures_of(run: AdmittanceRun, scene: Scene) -> dict[str, float]:
     """Return all figures of a run of an admittance display or group."""
     known = scene.ports[0].rendered.parameters
     asked = getattr(known, "inertia", getattr(known, "mass", None)) or 0.0
-    display = _Display(run, run.motion, felt(run, scene), float(asked), run.shares())
-    return {name: float(figure.of(display)) for name, figure in DISPLAY_METRICS.items()}
+    moved = _Moved(run, run.motion, felt(run, scene), float(asked), run.shares())
+    return {name: float(figure.of(moved)) for name, figure in DISPLAY_METRICS.items()}
 
 
 NEAR: Final = 0.05

@@ -1,6 +1,6 @@
 """Benchmark of passivity algorithms (the arena): demanding scenes at several rates and delays, then a ranking.
 
-A case is one algorithm on one scene at one rate and delay, run without a bus (`group_figures`). Workers compute the
+A case is one algorithm on one scene at one rate and delay, run without a bus (`figures_of_part`). Workers compute the
 cases and `ArenaStore` keeps them, so that a stopped arena can be resumed. A stored case is reused only if its scene,
 rate, delay, algorithm, duration, and all code that computes it are unchanged.
 
@@ -129,25 +129,25 @@ def with_loop(scene: Scene, rate: float, delay: int) -> Scene:
     return replace(scene, bus=bus, axes=axes)
 
 
-def group_figures(group: "ArenaPlan", known: Collection[tuple[int, str]] = ()) -> list[Row]:
+def figures_of_part(part: "ArenaPlan", known: Collection[tuple[int, str]] = ()) -> list[Row]:
     """Return the figures of every case of a plan with one scene and one rate.
 
     Args:
-        group: The plan; its cases share one continuous run.
+        part: The plan; its cases share one continuous run.
         known: (delay, algorithm label) of cases to omit.
     """
-    asked = [(d, name) for d in group.delays for name in group.algorithms if (d, label_of(name)) not in known]
+    asked = [(d, name) for d in part.delays for name in part.algorithms if (d, label_of(name)) not in known]
     if not asked:
         return []
-    [path], [rate] = group.scenes, group.rates
-    plain = axis_loop.at_rate(load_scene(path, allow_code=group.allow_code), rate)
-    cycles = axis_loop.cycles_of(plain, min(group.longest, plain.run.duration or group.longest))
+    [path], [rate] = part.scenes, part.rates
+    plain = axis_loop.at_rate(load_scene(path, allow_code=part.allow_code), rate)
+    cycles = axis_loop.cycles_of(plain, min(part.longest, plain.run.duration or part.longest))
     reference, _ = reference_of(plain, cycles)
     found = []
     for delay, name in asked:
         case = {"scene": path.stem, "rate": rate, "delay": delay, "algorithm": label_of(name)}
         try:
-            scene = with_loop(scene_under(path, name, allow_code=group.allow_code), rate, delay)
+            scene = with_loop(scene_under(path, name, allow_code=part.allow_code), rate, delay)
             found.append(case | _figures_of(scene, cycles, reference))
         except ParameterError as error:
             found.append(case | {"status": "refused", "remark": str(error).splitlines()[0]})
@@ -430,26 +430,26 @@ class ArenaStore(Store):
             create_store(folder, _KIND, {}, replace=force)
         super().__init__(folder, _KIND, writable=True)
 
-    def finished(self, group: "ArenaPlan") -> list[Row]:
-        """Return the stored cases of a group."""
-        names = (_key(group, delay, name) for delay in group.delays for name in group.algorithms)
+    def finished(self, part: "ArenaPlan") -> list[Row]:
+        """Return the stored cases of a part."""
+        names = (_key(part, delay, name) for delay in part.delays for name in part.algorithms)
         return [json.loads((self.folder / name).read_text(encoding="utf-8")) for name in names if name in self.chunks]
 
-    def add(self, group: "ArenaPlan", found: Iterable[Row]) -> None:
-        """Store cases of a group; they are on the disk on return.
+    def add(self, part: "ArenaPlan", found: Iterable[Row]) -> None:
+        """Store cases of a part; they are on the disk on return.
 
         Raises:
             LogWriteError: The folder cannot be written.
         """
-        references = {label_of(name): name for name in group.algorithms}
+        references = {label_of(name): name for name in part.algorithms}
         for case in found:
-            name = _key(group, case["delay"], references[case["algorithm"]])
+            name = _key(part, case["delay"], references[case["algorithm"]])
             self.write(name, json.dumps(case).encode())
 
 
-def _key(group: "ArenaPlan", delay: int, algorithm: str) -> str:
+def _key(part: "ArenaPlan", delay: int, algorithm: str) -> str:
     own = _hash_of(Path(algorithm.rpartition(":")[0])) if is_own(algorithm) else ""
-    parts = [_hash_of(group.scenes[0]), group.rates[0], delay, algorithm, own, group.longest, code_hash()]
+    parts = [_hash_of(part.scenes[0]), part.rates[0], delay, algorithm, own, part.longest, code_hash()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32] + ".json"
 
 
@@ -497,7 +497,7 @@ class ArenaPlan:
     per_decade: int = PER_DECADE
     allow_code: bool = False
 
-    def groups(self) -> list["ArenaPlan"]:
+    def parts(self) -> list["ArenaPlan"]:
         """Split the plan into one for each scene and rate, whose cases share one continuous run."""
         return [replace(self, scenes=(path,), rates=(rate,)) for path in self.scenes for rate in self.rates]
 
@@ -541,7 +541,7 @@ def run_arena(
     Args:
         plan: Plan of the arena.
         store: Store of finished cases, which are not run again.
-        executor: Executor for groups of cases; None: this thread.
+        executor: Executor for the parts of the plan; None: this thread.
         progress: Called with the number of finished cases.
         stop_requested: Polled regularly; True stops the arena.
 
@@ -549,14 +549,14 @@ def run_arena(
         InputError: A scene, an algorithm or the store cannot be used.
     """
     plan.check()
-    groups = plan.groups()
-    known = [store.finished(group) for group in groups]
-    count = Count(plan.each * len(groups), sum(map(len, known)), progress)
-    jobs = [_job(group, of, store) for group, of in zip(groups, known, strict=True)]
+    parts = plan.parts()
+    known = [store.finished(part) for part in parts]
+    count = Count(plan.each * len(parts), sum(map(len, known)), progress)
+    jobs = [_job(part, of, store) for part, of in zip(parts, known, strict=True)]
     run_jobs(jobs, executor, stop_requested, store.folder, count)
     if count.state.done < count.state.total:
         return None
-    cases, names = [case for group in groups for case in store.finished(group)], plan.names()
+    cases, names = [case for part in parts for case in store.finished(part)], plan.names()
     found: Row = {
         "canhaptic": version("canhaptic"),
         "code": code_hash(),
@@ -573,11 +573,11 @@ def run_arena(
     return found | (_of_rig(plan, stop_requested) if plan.per_decade else {})
 
 
-def _job(group: ArenaPlan, finished: Sequence[Row], store: ArenaStore) -> Job:
-    """Return the job that runs the cases of a group that are not in the store."""
+def _job(part: ArenaPlan, finished: Sequence[Row], store: ArenaStore) -> Job:
+    """Return the job that runs the cases of a part that are not in the store."""
     known = [(case["delay"], case["algorithm"]) for case in finished]
-    what = f"{group.scenes[0].stem} at {group.rates[0]:g} Hz"
-    return Job(what, group.each - len(known), group_figures, lambda: (group, known), partial(store.add, group))
+    what = f"{part.scenes[0].stem} at {part.rates[0]:g} Hz"
+    return Job(what, part.each - len(known), figures_of_part, lambda: (part, known), partial(store.add, part))
 
 
 def _of_rig(plan: ArenaPlan, stop_requested: Callable[[], bool]) -> Row:

@@ -362,14 +362,14 @@ class _Chunk:
         if RATE in self._columns and self._recipe.cycles is None:
             apart.add(RATE)  # scenes of one duration differ in their number of holds
         permitted = self._permitted()
-        for rows in self._groups(apart, permitted):
-            self._run_group(rows, tuple(sorted(batched)))
+        for rows in self._alike(apart, permitted):
+            self._run_alike(rows, tuple(sorted(batched)))
         return ChunkResult(self._figures, self._status, self._engine, self._remark, self._of_plant)
 
     def _permitted(self) -> _Rows:
         """Return the rows whose values are permitted; store the others as refused."""
         refused = []
-        for rows in self._groups({key for key in self._columns if key not in self._free}, np.arange(self._count)):
+        for rows in self._alike({key for key in self._columns if key not in self._free}, np.arange(self._count)):
             if is_box_permitted(self._recipe, self._row(int(rows[0]), set(self._columns) - self._free)):
                 continue
             for row in rows.tolist():
@@ -379,8 +379,8 @@ class _Chunk:
                     self._note(row, REFUSED, 0, built.remark)
         return np.setdiff1d(np.arange(self._count), np.array(refused, dtype=np.intp))
 
-    def _groups(self, keys: set[str], rows: _Rows) -> list[_Rows]:
-        """Group rows by equal values of the given keys; return the groups in the order of their first row."""
+    def _alike(self, keys: set[str], rows: _Rows) -> list[_Rows]:
+        """Return rows with equal values of the given keys together, in the order of their first row."""
         kinds = np.zeros(len(rows), dtype=np.int64)
         for key in keys:
             numbers = np.unique(np.asarray(self._columns[key])[rows], return_inverse=True)[1]
@@ -392,7 +392,7 @@ class _Chunk:
     def _row(self, row: int, keys: set[str] | None = None) -> Row:
         return row_of(self._columns, row, keys)
 
-    def _run_group(self, rows: _Rows, batched: Sequence[str]) -> None:
+    def _run_alike(self, rows: _Rows, batched: Sequence[str]) -> None:
         built = scene_of(self._recipe, self._row(int(rows[0])))
         self._of_plant = built.remark if built.from_plant else self._of_plant
         not_linear = self._closed_form(built, rows, batched) if RADIUS in self._recipe.metrics else ""

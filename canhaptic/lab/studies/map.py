@@ -538,7 +538,9 @@ def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]
     if chosen.metric is not None:
         return [[_metric_panel(one, chosen, chosen.metric)] for one in fields]
     if fields[0].is_display:
-        return [[*_display_panels(one, chosen)] for one in fields]
+        x = chosen.x or (_MASS if _MASS in fields[0].keys else None)
+        known = [metric for metric in _OF_DISPLAYS if fields[0].has(metric)]
+        return [[_metric_panel(one, Chosen(x, chosen.y), metric) for metric in known] for one in fields]
     is_shared = chosen.judgement is None and len(fields[0].keys) > 1
     together = headline(fields, *_keys(fields[0], chosen)) if is_shared else []
     columns = [_usual_panels(one, chosen, beside=bool(together)) for one in fields]
@@ -548,12 +550,6 @@ def panels_of(fields: list[MapField], chosen: Chosen) -> list[list[Panel | None]
         return [[*column] for column in shown]
     blank = [None] * len(shown[0])
     return [[top, *(column or blank)] for top, column in zip_longest(together, shown)]
-
-
-def _display_panels(field: MapField, chosen: Chosen) -> list[Panel]:
-    """Return the panels of an admittance display: apparent mass, energy given out, share of holds that are limited."""
-    x = chosen.x or (_MASS if _MASS in field.keys else None)
-    return [_metric_panel(field, Chosen(x, chosen.y), metric) for metric in _OF_DISPLAYS if field.has(metric)]
 
 
 def _keys(field: MapField, chosen: Chosen) -> tuple[str, str, str | None]:

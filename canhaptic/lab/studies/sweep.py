@@ -21,6 +21,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from canhaptic.drive.clock import WallClock
+from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import InputError
 from canhaptic.lab.batch import (
     WORTH_COMPILING,
@@ -33,7 +34,7 @@ from canhaptic.lab.batch import (
 )
 from canhaptic.lab.batch.cases import why_not_batchable
 from canhaptic.lab.batch.group_loop import group_case
-from canhaptic.lab.loop.axis_loop import cycles_of, is_display, parts_of, with_algorithm
+from canhaptic.lab.loop.axis_loop import cycles_of, parts_of, with_algorithm
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.chunk import (
     FIGURES,
@@ -194,18 +195,25 @@ def make_sweep(
     if recipe.engine == "python":
         most = min(most, max(1, _CYCLES_IN_PYTHON // each))
     chunk = chunk or min(most, max(least, -(-len(points) // _FEWEST_CHUNKS)))
-    is_slow = engine == "auto" and pays and not is_display(scene) and bool(why_no_numba())  # displays: always Python
+    is_slow = engine == "auto" and pays and bool(why_no_numba())
     return Asked(recipe, points, chunk, _identity(scene, recipe, points), engine == "auto", is_slow)
 
 
 def _pays(scene: Scene, scenes: int, cycles: int) -> bool:
     """Return whether compiling saves more time than it takes."""
-    if scene.groups:
-        parts = [part for part in parts_of(scene).values() if part.groups]
-        return scenes * cycles >= WORTH_COMPILING_GROUPS and any(not group_case(part).why_not for part in parts)
-    plants = (build_plant(of.simulation, scene.bus.sample_time_ns) for of in scene.axes if of.simulation)
-    has_events = not scene.unread and any(not plant.is_linear for plant in plants)
-    return scenes * cycles >= (WORTH_COMPILING_EVENTS if has_events else WORTH_COMPILING)
+    return any(scenes * cycles >= _worth_compiling(part) for part in parts_of(scene).values())
+
+
+def _worth_compiling(alone: Scene) -> float:
+    """Return from how many cycles compiling the loop of a port pays; infinite for one that Python always runs."""
+    [port] = alone.ports
+    if port.causality is not IMPEDANCE:
+        return math.inf
+    if port.section:
+        return math.inf if group_case(alone).why_not else WORTH_COMPILING_GROUPS
+    plants = (build_plant(of.simulation, alone.bus.sample_time_ns) for of in port.axes if of.simulation)
+    has_events = not alone.unread and any(not plant.is_linear for plant in plants)
+    return WORTH_COMPILING_EVENTS if has_events else WORTH_COMPILING
 
 
 def _is_long(asked: Asked) -> bool:

@@ -143,12 +143,9 @@ class _HandRun:
         self._place = list(touched.start)
         self._every = max(1, round(0.01 / self._period))
         ports = [axis.parameters.name for axis in touched.scene.axes]
-        groups = [group.name for group in touched.scene.groups]
         self._axes = [[ports.index(name) for name in side.axes] for side in touched.sides]
-        self._accounts = [
-            [len(ports) + groups.index(side.group)] if side.group else axes
-            for side, axes in zip(touched.sides, self._axes, strict=True)
-        ]
+        known = experiment.cycle.ports
+        self._accounts = [[port.row for port in known if set(port.axes) <= set(axes)] for axes in self._axes]
         self._start = self._clock.now()
         self._readings, self._has_links = touched.readings, bool(touched.links)
         if experiment.far_side is None:

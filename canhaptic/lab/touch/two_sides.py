@@ -8,7 +8,7 @@ affects both alike. The link timeouts are long: nothing real moves, and a busy b
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 from canhaptic.axis_units import damping_unit, effort_unit, mass_unit, stiffness_unit
 from canhaptic.control.admittance.group_environment import GroupEnvironment, PathMass
@@ -28,6 +28,7 @@ from canhaptic.scene.models import AxisScene, FurtherBus, MechanismScene, Port, 
 from canhaptic.sim.plant.mechanism.five_bar_linkage import FiveBarLinkage
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion, PointerTaskHand, TaskHand
 from canhaptic.sim.plant.user import PointerHand, UserParameters
+from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation
 
 PLAIN: Final = "unprotected"
 GUARDED: Final = "guarded"
@@ -215,11 +216,11 @@ def _guarded(alone: Scene) -> Scene:
     if port.causality is IMPEDANCE:
         return under(alone, GUARDED).permitted()
     simulations = [simulation_of(axis) for axis in port.axes]
-    loops = [one.admittance.loop for one in simulations if one.admittance is not None]
+    loops = [cast(AdmittanceSimulation, one.admittance).loop for one in simulations]
     known = GuardedAdmittanceParameters(
         drive_mass=_OVER * max(one.plant.mass for one in simulations),
-        loop_gain=_OVER * max((loop.gain for loop in loops), default=0.0),
-        integral_gain=_OVER * max((loop.integral_gain for loop in loops), default=0.0),
+        loop_gain=_OVER * max(loop.gain for loop in loops),
+        integral_gain=_OVER * max(loop.integral_gain for loop in loops),
         energy_allowance=1e-3,
     )
     return alone.with_port(port._replace(passivity=ComponentSpec(GUARDED, known)))

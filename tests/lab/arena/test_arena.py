@@ -11,8 +11,8 @@ from canhaptic.lab.studies.arena import (
     COLUMNS,
     ArenaPlan,
     ArenaStore,
+    figures_of_part,
     given_out,
-    group_figures,
     ranking,
     ranks,
     run_arena,
@@ -104,7 +104,7 @@ def test_an_arena_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     assert run(progress=again.append) == whole
     assert again[0].done == again[0].total
     assert first.exists()
-    assert ArenaStore(path, force=True).finished(plan.groups()[0]) == []
+    assert ArenaStore(path, force=True).finished(plan.parts()[0]) == []
 
 
 @pytest.mark.slow
@@ -149,11 +149,11 @@ def test_what_cannot_be_used_is_refused_before_anything_runs(
 def test_cases_that_are_known_are_left_out() -> None:
     names = ("energy_bounding", "guarded", "unprotected")
     group = ArenaPlan(tuple(scenes_named(["slot"])), names, (100.0,), (0,), 0.1)
-    assert [found["algorithm"] for found in group_figures(group, [(0, "guarded"), (1, "unprotected")])] == [
+    assert [found["algorithm"] for found in figures_of_part(group, [(0, "guarded"), (1, "unprotected")])] == [
         "energy_bounding",
         "unprotected",
     ]
-    assert group_figures(group, [(0, name) for name in names]) == []
+    assert figures_of_part(group, [(0, name) for name in names]) == []
 
 
 def case(name: str, scene: str = "a", **figures: float) -> dict:

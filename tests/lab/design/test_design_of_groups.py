@@ -10,14 +10,14 @@ import yaml
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
-from canhaptic.lab.studies.design.trial import GroupTrial, network_scale
+from canhaptic.lab.studies.design.trial import NetworkTrial, network_scale
 from canhaptic.scene.load import load_scene
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 
 
-def trial_of(name: str, *overrides: str) -> GroupTrial:
-    return GroupTrial(load_scene(CONFIGS / f"{name}.yaml", list(overrides)), 0.05, "python")
+def trial_of(name: str, *overrides: str) -> NetworkTrial:
+    return NetworkTrial(load_scene(CONFIGS / f"{name}.yaml", list(overrides)), 0.05, "python")
 
 
 @pytest.mark.slow
@@ -112,5 +112,7 @@ def test_the_network_that_is_designed_is_a_scene(name: str, capsys: pytest.Captu
     assert result["stiffness_rendered"] == pytest.approx(1.0, abs=0.05)
     assert result["damping_rendered"] == (pytest.approx(1.0, abs=0.05) if result["damping"] else None)
     scene = load_scene(CONFIGS / f"{name}.yaml", [f"groups.0.network={yaml.safe_dump(pasted['network'])}"])
-    verdict = GroupTrial(scene, 0.05, "python").verdict(np.array([result["stiffness"]]), np.array([result["damping"]]))
+    verdict = NetworkTrial(scene, 0.05, "python").verdict(
+        np.array([result["stiffness"]]), np.array([result["damping"]])
+    )
     assert verdict.passed.all()

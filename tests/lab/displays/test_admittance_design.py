@@ -9,7 +9,7 @@ from canhaptic.cli.main import main
 from canhaptic.errors import CheckFailedError
 from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.studies.design import search
-from canhaptic.lab.studies.design.search import design_displays
+from canhaptic.lab.studies.design.search import design_masses
 from canhaptic.scene.load import load_scene
 
 SCENES = Path(__file__).parents[3] / "configs" / "admittance"
@@ -59,7 +59,7 @@ def test_masses_that_no_run_is_long_enough_to_feel_are_refused_in_words(monkeypa
     monkeypatch.setattr(search, "_MASSES", (2,))
     monkeypatch.setattr(search, "_MASS_DURATION", 0.02)
     with pytest.raises(CheckFailedError, match="no mass is felt as asked by every hand"):
-        design_displays(load_scene(NODE), 0.0, 0.3)
+        design_masses(load_scene(NODE), 0.0, 0.3)
 
 
 @pytest.mark.slow
@@ -67,7 +67,7 @@ def test_progress_counts_up_to_what_is_said_at_most(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(search, "_MASSES", (3,))
     monkeypatch.setattr(search, "_MASS_DURATION", 0.5)
     seen: list[tuple[int, int]] = []
-    design_displays(load_scene(NODE), 0.0, 0.3, lambda tried, most: seen.append((tried, most)))
+    design_masses(load_scene(NODE), 0.0, 0.3, lambda tried, most: seen.append((tried, most)))
     tried = [count for count, _ in seen]
     assert tried == sorted(tried)
     assert tried[0] < tried[-1] <= 4

@@ -14,7 +14,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, cast
 
 import numpy as np
 import yaml
@@ -32,25 +32,19 @@ from canhaptic.lab.batch import Engine
 from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.loop.axis_loop import Array, is_display, parts_of, require_design_room
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.chunk import places_of
-from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.design import trial as trials
-from canhaptic.lab.studies.design.contact_quality import felt_of
 from canhaptic.lab.studies.runner import pool_of
 from canhaptic.scene.displays import display_properties
-from canhaptic.scene.hints import guarantee, stability_hints
-from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
-from canhaptic.units import Parameters
+from canhaptic.sim.plant.user import UserParameters
+from canhaptic.sim.plant.velocity_drive import AdmittanceSimulation
 
 Progress = Callable[[int, int], None]
 TOLERANCE: Final = 0.05
 MARGIN: Final = 0.2
 _DECADES: Final = 4.0
 """Decades of damping that are tried, below the limit of rendering."""
-_DEVICE: Final = ("moving_mass", "device_damping", "device_damping_bound", "device_friction", "device_friction_bound")
-"""Keys of the loop that declare the device; keys of the timing belong to the rig."""
 _DIGITS: Final = 3
 _SHARES: Final = (1.0, 0.6, 0.3)
 """Fractions of the largest stiffness for which the largest damping is shown, as the trade-off of the two."""
@@ -73,8 +67,8 @@ class _Places(NamedTuple):
 
 _COMPILED: Final = _Places((128, 64), (32, 32), 10)
 _ONE_BY_ONE: Final = _Places((12, 6, 6), (8, 6), 5)
-_GROUPS: Final = _Places((12, 6), (6,), 3)
-"""Numbers of walls if Python runs the loop of a group, which takes four times as long as the loop of an axis."""
+_COSTLY: Final = _Places((12, 6), (6,), 3)
+"""Numbers of walls if Python runs the loop of several motors, which takes four times as long as that of an axis."""
 
 
 def design(
@@ -86,7 +80,7 @@ def design(
 ) -> Row:
     """Return the stiffest wall for the rig of a scene, and the largest damping at that stiffness, as plain values.
 
-    For admittance displays it is the lightest mass of each, see `design_displays`.
+    For admittance displays it is the lightest mass of each, see `design_masses`.
 
     Args:
         scene: Simulated scene of one group; or scene of one axis, simulated or with `passivity.moving_mass` declared.
@@ -100,29 +94,25 @@ def design(
         CheckFailedError: Not even the softest wall passes.
     """
     if is_display(scene):
-        return design_displays(scene, margin, tolerance, progress)
+        return design_masses(scene, margin, tolerance, progress)
     require_design_room(margin, tolerance)
-    if not scene.groups:
-        found = _designed(trials.Trial(scene, tolerance, engine), margin, tolerance, progress)
-        return {**found, "replaces": scene.axes[0].environment.name}
-    trial, cores = trials.GroupTrial(scene, tolerance, engine), os.cpu_count() or 1
-    with pool_of(1 if trial.is_quick else cores) as pool:  # a group that Python runs gets a process on each core
+    port = scene.ports[0]
+    trial = (trials.NetworkTrial if port.section else trials.Trial)(scene, tolerance, engine)
+    cores = (os.cpu_count() or 1) if trial.is_costly and not trial.is_quick else 1
+    with pool_of(cores) as pool:
         trial.executor = None if pool is None else pool.executor
-        return _designed(trial, margin, tolerance, progress)
+        found = _designed(trial, margin, tolerance, progress)
+    return found if "network" in found else {**found, "replaces": port.rendered.name}
 
 
-def _designed(trial: trials.Trial | trials.GroupTrial, margin: float, tolerance: float, progress: Progress) -> Row:
+def _designed(trial: trials.Trial | trials.NetworkTrial, margin: float, tolerance: float, progress: Progress) -> Row:
     search = _WallSearch(trial, 1.0 + margin, progress)
     stiffest = search.largest_stiffness()
     stiffnesses = [_rounded(share * stiffest) for share in _SHARES]
     dampings = search.largest_dampings(np.array(stiffnesses))
     stiffness, damping = stiffnesses[0], dampings[0]
     below, verdict = search.below_and_at(stiffness, damping)
-    if isinstance(trial, trials.Trial):
-        result = _account(trial, verdict, stiffness, damping)
-        result["felt"] = felt_of(trial.scene, trials.ALGORITHM, trial.hand, tolerance, stiffness)
-    else:
-        result = trial.account(verdict, stiffness, damping)
+    result = trial.account(verdict, stiffness, damping)
     result |= {"margin": margin, "tolerance": tolerance, "walls": trial.walls}
     result |= {"tried_below": len(below), "failing_below": int((~below).sum())}
     result["trade"] = [{"stiffness": k, "damping": d} for k, d in zip(stiffnesses, dampings, strict=True)]
@@ -132,9 +122,9 @@ def _designed(trial: trials.Trial | trials.GroupTrial, margin: float, tolerance:
 class _WallSearch:
     """Search in batches, one for the whole range and one per interval found; `factor` scales the walls tried."""
 
-    def __init__(self, trial: trials.Trial | trials.GroupTrial, factor: float, progress: Progress) -> None:
+    def __init__(self, trial: trials.Trial | trials.NetworkTrial, factor: float, progress: Progress) -> None:
         self._trial, self._factor, self._progress = trial, factor, progress
-        self._places = _COMPILED if trial.is_quick else _ONE_BY_ONE if isinstance(trial, trials.Trial) else _GROUPS
+        self._places = _COMPILED if trial.is_quick else _COSTLY if trial.is_costly else _ONE_BY_ONE
         progress(0, self._places.most)
 
     def largest_stiffness(self) -> float:
@@ -161,8 +151,7 @@ class _WallSearch:
             f"{self._trial.scene.source}: not even {softest} is rendered within the tolerance "
             f"(stiffness {100.0 * float(verdict.stiffness_share[0]):.3g} % of what was asked, "
             f"{float(verdict.least_interaction[0]):.3g} J given out); raise bus.rate, or declare what is "
-            "certain (passivity.moving_mass, device_damping)"
-            + (", or a smaller passivity.max_consecutive_losses" if self._trial.scene.groups else "")
+            f"certain (passivity.moving_mass, device_damping){self._trial.remedy}"
         )
 
     def largest_dampings(self, stiffnesses: Array) -> list[float]:
@@ -213,12 +202,6 @@ def _edges(passed: trials.Booleans, nearly: trials.Booleans) -> tuple[int, int]:
     return int(np.flatnonzero(np.append(True, passed[:first]))[-1]) - 1, first
 
 
-def _chosen(parameters: Parameters) -> Row:
-    """Return the values that differ from their defaults, without `alpha`, which has its own unit."""
-    fields = type(parameters).model_fields.items()
-    return {k: value for k, of in fields if (value := getattr(parameters, k)) != of.default and k != "alpha"}
-
-
 def _rounded(value: float, towards: Callable[[float], int] = math.floor) -> float:
     """Return a value rounded down to a few digits, or by `math.ceil` up."""
     if value <= 0.0:
@@ -226,33 +209,6 @@ def _rounded(value: float, towards: Callable[[float], int] = math.floor) -> floa
     unit = 10.0 ** (math.floor(math.log10(value)) - _DIGITS + 1)
     slack = 1e-12 if towards is math.floor else -1e-12  # a value with as few digits stays as it is
     return float(f"{towards(value / unit * (1.0 + slack)) * unit:.{_DIGITS}g}")
-
-
-def _account(trial: trials.Trial, verdict: trials.TrialVerdict, stiffness: float, damping: float) -> Row:
-    """Return the figures of a wall: its verdict, and a run with the leaning hand, compared with the continuous wall."""
-    scene, values = trial.scene, {trials.STIFFNESS: stiffness, trials.DAMPING: damping}
-    places = places_of(scene, tuple(values))
-    overrides = [f"{place}={value!r}" for key, value in values.items() for place in places[key]]
-    allowed = bool(scene.own_code)
-    wall = scene_from_text(scene.text, scene.source, [*scene.overrides, *overrides], allow_code=allowed)
-    [axis] = wall.axes
-    axes = compare(wall, [trials.ALGORITHM], duration=trials.DURATION, repeats=0).result["axes"]
-    hints = stability_hints(axis)
-    run, parameters = axes[axis.parameters.name]["algorithms"][trials.ALGORITHM], axis.passivity.parameters
-    return {
-        "scene": scene.source,
-        "unit": axis.parameters.unit,
-        "stiffness": stiffness,
-        "damping": damping,
-        **verdict.account(damping),
-        "certificate": run.get("certificate"),
-        "certified": {hint.certificate: hint.limit for hint in hints if hint.certificate},
-        "guarantee": [guarantee(axis, hints), *(f"{h.what}: {h.text}" for h in hints if h.is_of_encoder)],
-        "engine": trial.engine,
-        "remark": trial.remark,
-        "loop": {key: value for key, value in _chosen(axis.loop).items() if key in _DEVICE},
-        "hand": {"hand_force": getattr(parameters, "hand_force", 0.0), **_chosen(parameters)},
-    }
 
 
 _HANDS: Final = ((1.0, 1.0), (0.3, 1.0), (3.0, 1.0), (1.0, 0.3), (1.0, 3.0))
@@ -265,7 +221,7 @@ _MASS_METRICS: Final = ("mass_felt", "mass_felt.share", "least_interaction", "gu
 _Figures = dict[str, float]
 
 
-def design_displays(
+def design_masses(
     scene: Scene, margin: float, tolerance: float, progress: Progress = lambda _tried, _most: None
 ) -> Row:
     """Return the lightest mass for each display, and group of displays, of a scene, as plain values.
@@ -399,19 +355,21 @@ def _of_axis(axis: AxisScene, scene: Scene) -> float:
     lag += 0.5 / (np.pi * properties.filter) if properties.filter else 0.0
     if isinstance(known, GuardedAdmittanceParameters):
         return float(known.drive_mass + known.loop_gain * lag)
-    gain = 0.0 if simulation.admittance is None else simulation.admittance.loop.gain
-    return float(simulation.plant.mass + gain * lag)
+    return float(simulation.plant.mass + _servo(simulation).loop.gain * lag)
+
+
+def _servo(simulation: AxisSimulation) -> AdmittanceSimulation:
+    """Return what is simulated of a velocity loop and what is held."""
+    return cast(AdmittanceSimulation, simulation.admittance)
 
 
 def _held(axis: AxisScene, grip: float, stiffness: float) -> AxisSimulation:
     """Return a simulated axis with another hand."""
     simulation = simulation_of(axis)
-    display, user = simulation.admittance, simulation.user
-    if display is None or user is None:
-        return simulation
-    held = display.grip.model_copy(update={"mass": grip * display.grip.mass})
+    servo, user = _servo(simulation), cast(UserParameters, simulation.user)
+    held = servo.grip.model_copy(update={"mass": grip * servo.grip.mass})
     hand = user.model_copy(update={"stiffness": stiffness * user.stiffness})
-    return replace(simulation, admittance=display.model_copy(update={"grip": held}), user=hand)
+    return replace(simulation, admittance=servo.model_copy(update={"grip": held}), user=hand)
 
 
 def _with_mass(scene: Scene, mass: float) -> Scene:
@@ -431,7 +389,7 @@ def _snippet(found: Row) -> str:
 
 
 def mass_report(result: Row) -> RenderableType:
-    """Return the text of a design for a terminal; `result` as `design_displays` returns it."""
+    """Return the text of a design for a terminal; `result` as `design_masses` returns it."""
     said = f"   target: within {100.0 * result['tolerance']:g} %, {100.0 * result['margin']:g} % reserve"
     parts = [Text.assemble(" ", (scene_title(result["scene"]), "bold"), said)]
     for name, found in result["displays"].items():

@@ -50,11 +50,13 @@ from canhaptic.lab.batch.group_loop import group_case, shares
 from canhaptic.lab.batch.scalar import group_meter, render_group
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row, chunk
+from canhaptic.lab.studies.compare import compare
+from canhaptic.lab.studies.design.contact_quality import felt_of
 from canhaptic.lab.studies.vary import CONTROLLER, Column, listed, make_points, ranged
-from canhaptic.scene.hints import LEAN
+from canhaptic.scene.hints import LEAN, guarantee, stability_hints
 from canhaptic.scene.load import scene_from_text
 from canhaptic.scene.method import simulation_of
-from canhaptic.scene.models import AxisScene, GroupScene, MechanismScene, Scene, task_unit
+from canhaptic.scene.models import AxisScene, MechanismScene, Scene, task_unit
 from canhaptic.sim.plant.mechanism.task_hand import PlaneMotion
 from canhaptic.sim.plant.user import RecordedMotion, SinusoidMotion
 from canhaptic.units import Parameters
@@ -201,6 +203,8 @@ DURATION: Final = 3.0
 _SLACK: Final = 0.05
 """Amount by which a wall may miss the tolerance without excluding larger walls: the phase of counts and holds makes
 the shares of neighbouring walls differ by some tenths of a per cent."""
+_DEVICE: Final = ("moving_mass", "device_damping", "device_damping_bound", "device_friction", "device_friction_bound")
+"""Keys of the loop that declare the device; keys of the timing belong to the rig."""
 _FREQUENCY: Final = 1.0  # of the hand that presses [Hz]
 _METRICS: Final = (
     "diverged",
@@ -248,15 +252,33 @@ class Trials:
     """What walls of an axis and networks of a group have in common; the tries of both hands become a verdict.
 
     Args:
-        part: Axis or group, whose algorithm may generate its `energy_allowance`.
+        scene: Scene with one port, whose algorithm may generate its `energy_allowance`.
         tolerance: Largest relative difference of a rendering from the requested one.
+
+    Attributes:
+        remark: Note on the properties taken from the simulated plant.
+        remedy: What else helps where nothing passes, after the usual.
+        is_costly: Whether Python takes several times as long for a trial as for one of an axis.
+        is_quick: Whether trials are computed by compiled code.
+        executor: Executor for trials that are not; None: this thread.
+        walls: Number of walls or networks tried.
+
+    Raises:
+        InputError: The scene has several ports.
     """
 
-    remark = ""
+    remark = remedy = ""
+    is_costly = False
+    is_quick: bool
+    executor: Executor | None = None
 
-    def __init__(self, part: AxisScene | GroupScene, tolerance: float) -> None:
+    def __init__(self, scene: Scene, tolerance: float) -> None:
+        if len(scene.ports) != 1:
+            names = ", ".join(port.name for port in scene.ports)
+            raise InputError(f"{scene.source}: has the axes or groups {names}; design takes one: make a scene of each")
         self._tolerance, self.walls = tolerance, 0
-        self._allowance = float(getattr(part.passivity.parameters, "energy_allowance", 0.0)) + PASSIVE_TOLERANCE
+        given = scene.ports[0].passivity.parameters
+        self._allowance = float(getattr(given, "energy_allowance", 0.0)) + PASSIVE_TOLERANCE
 
     def _verdict(
         self, shares: Array, damped: Array, least: Array, judged: Array, ran: Any, damping: Array
@@ -293,19 +315,14 @@ class Trial(Trials):
         unit: Unit of the axis's motion.
         softest: Softest wall to try [N/m or N*m/rad].
         engine: Engine that computes the trials.
-        is_quick: Whether walls are tried by compiled code.
-        walls: Number of walls tried.
 
     Raises:
         InputError: The scene has several axes, or its moving mass is unknown.
     """
 
     def __init__(self, scene: Scene, tolerance: float, engine: Engine = "auto") -> None:
-        if len(scene.axes) != 1:
-            names = ", ".join(axis.parameters.name for axis in scene.axes)
-            raise InputError(f"{scene.source}: has the axes {names}; design takes one axis: make a scene of each")
+        super().__init__(scene, tolerance)
         [axis] = scene.axes
-        super().__init__(axis, tolerance)
         force = LEAN * axis.parameters.torque_limit
         self.unit, self.softest = axis.parameters.unit, force / _DEEPEST
         self._judged = "least_covered" if axis.loop.device_damping else "least_interaction"
@@ -359,6 +376,39 @@ class Trial(Trials):
         [axis] = self.scene.axes
         mass = simulation_of(axis).plant.mass
         return max(mass / self.scene.bus.sample_time, math.sqrt(stiffness * mass))
+
+    def account(self, verdict: TrialVerdict, stiffness: float, damping: float) -> Row:
+        """Return the figures of a wall: its verdict, and a run with the leaning hand beside the continuous wall."""
+        scene, values = self.scene, {STIFFNESS: stiffness, DAMPING: damping}
+        places = chunk.places_of(scene, tuple(values))
+        overrides = [f"{place}={value!r}" for key, value in values.items() for place in places[key]]
+        allowed = bool(scene.own_code)
+        wall = scene_from_text(scene.text, scene.source, [*scene.overrides, *overrides], allow_code=allowed)
+        [axis] = wall.axes
+        axes = compare(wall, [ALGORITHM], duration=DURATION, repeats=0).result["axes"]
+        hints = stability_hints(axis)
+        run, parameters = axes[axis.parameters.name]["algorithms"][ALGORITHM], axis.passivity.parameters
+        return {
+            "scene": scene.source,
+            "unit": axis.parameters.unit,
+            "stiffness": stiffness,
+            "damping": damping,
+            **verdict.account(damping),
+            "certificate": run.get("certificate"),
+            "certified": {hint.certificate: hint.limit for hint in hints if hint.certificate},
+            "guarantee": [guarantee(axis, hints), *(f"{h.what}: {h.text}" for h in hints if h.is_of_encoder)],
+            "engine": self.engine,
+            "remark": self.remark,
+            "loop": {key: value for key, value in _chosen(axis.loop).items() if key in _DEVICE},
+            "hand": {"hand_force": getattr(parameters, "hand_force", 0.0), **_chosen(parameters)},
+            "felt": felt_of(scene, ALGORITHM, self.hand, self._tolerance, stiffness),
+        }
+
+
+def _chosen(parameters: Parameters) -> Row:
+    """Return the values that differ from their defaults, without `alpha`, which has its own unit."""
+    fields = type(parameters).model_fields.items()
+    return {k: value for k, of in fields if (value := getattr(parameters, k)) != of.default and k != "alpha"}
 
 
 def _furthest(first: Array, second: Array) -> Array:
@@ -430,7 +480,7 @@ class _Tried(NamedTuple):
     certificate: int  # its place in `WEAKEST_LAST`
 
 
-class GroupTrial(Trials):
+class NetworkTrial(Trials):
     """Rig for trials of networks.
 
     Args:
@@ -439,27 +489,25 @@ class GroupTrial(Trials):
         engine: Engine of the trials.
 
     Attributes:
-        executor: Executor for loops that are not compiled; None: this thread.
         scene: Scene with the hands in motion.
         unit: Unit of the handle's motion.
         softest: Smallest stiffness to try [N/m or N*m/rad].
         engine: Engine that computes the trials.
-        is_quick: Whether networks are tried by compiled code.
-        walls: Number of networks tried.
 
     Raises:
-        InputError: The scene has several groups or other axes, a network without a spring at its ports, or motors that
+        InputError: The scene has several ports, a network without a spring at its ports, or motors that
             are not simulated.
     """
 
+    remedy = ", or a smaller passivity.max_consecutive_losses"
+    is_costly = True
+
     def __init__(self, scene: Scene, tolerance: float, engine: Engine = "auto") -> None:
-        if len(scene.groups) != 1 or any(not axis.group for axis in scene.axes):
-            raise InputError(f"{scene.source}: has more than one group; design takes one: make a scene of each")
-        (group,) = scene.groups
-        super().__init__(group, tolerance)
-        self._scale = network_scale(group.network.parameters, group.network.name)
-        self.scene, self.executor = scene, cast("Executor | None", None)
-        self.unit = task_unit(group.kinematics.name, scene.axis(group.axes[0]).parameters.unit)
+        super().__init__(scene, tolerance)
+        [port] = scene.ports
+        self._scale = network_scale(port.rendered.parameters, port.rendered.name)
+        self.scene = scene
+        self.unit = task_unit(port.kinematics.name, port.axes[0].parameters.unit)
         self.softest = min(self._scale.stiffness, STIFFEST) / _SPAN
         self._stroke = _stroke_time(scene)
         self._leaning = self._with_hands_at_rest()
@@ -487,16 +535,16 @@ class GroupTrial(Trials):
 
     def account(self, verdict: TrialVerdict, stiffness: float, damping: float) -> Row:
         """Return the result of a design for a network: description, verdict and certificate."""
-        (group,) = self.scene.groups
-        loop, given = self.scene.axis(group.axes[0]).loop, group.passivity.parameters
+        [port] = self.scene.ports
+        loop, given = port.axes[0].loop, port.passivity.parameters
         runs = [_tried((self._with_network(of, stiffness, damping), time, "python")) for of, time in self._hands()]
         network = self._scale.with_values(stiffness, damping).model_dump(mode="json", exclude_unset=True)
         losses = getattr(given, "max_consecutive_losses", 0)
         return {
             "scene": self.scene.source,
-            "group": group.name,
+            "group": port.name,
             "unit": self.unit,
-            "network": {"type": group.network.name, **network},
+            "network": {"type": port.rendered.name, **network},
             "stiffness": stiffness,
             "damping": damping,
             **verdict.account(damping),
