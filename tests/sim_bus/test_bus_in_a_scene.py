@@ -96,7 +96,7 @@ def test_the_configuration_in_effect_names_the_bus_only_where_it_has_effects() -
 def test_the_schema_knows_the_bus() -> None:
     schema = scene_schema()
     [simulation, _null] = schema["properties"]["simulation"]["anyOf"]
-    [bus, _null] = simulation["properties"]["bus"]["anyOf"]
+    [bus, _line, _null] = simulation["properties"]["bus"]["anyOf"]
     assert set(bus["properties"]) == set(BusEffects.model_fields)
     assert bus["properties"]["delay"]["unit"] == "s"
     assert "#/$defs/Window" in json.dumps(bus)

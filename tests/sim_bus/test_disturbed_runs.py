@@ -20,7 +20,7 @@ from canhaptic.cli import drive as drive_command
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.passivity import Controller
 from canhaptic.cycle import run
-from canhaptic.errors import DriveFaultError, LinkError, RigError, SyncsSkippedError
+from canhaptic.errors import DriveFaultError, LinkError, RigError, SyncsSkippedError, TpdoContradictedError
 from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.far_side import build_far_end, with_effects
 from canhaptic.scene.load import load_scene
@@ -36,6 +36,7 @@ GUARDED = (
 PAPER = "passivity={algorithm: internal_dissipation}"
 AFTER_THE_START = "during: [{begin: 0.1 s, duration: 1000 s}]"
 WITHIN = "during: [{begin: 0.1 s, duration: 0.25 s}]"  # neither in the start nor in the stop of 400 cycles
+PATIENT = "bus.loss_limit=1"  # what a tenth of lost frames does to the account is to be seen
 QUICK = "axes.0.sdo_timeout=20 ms"  # a lost answer is asked for again before the drive misses the master's heartbeat
 IN_AND_OUT = ("environment.position=0", "environment.side=above")  # the hand is in the wall for a second, then out
 COUNT = 1e-6  # [m]
@@ -70,7 +71,7 @@ class Outcome(NamedTuple):
 
 def disturbed(*overrides: str, cycles: int = 1500) -> Outcome:
     """Runs the demo so many cycles in lock-step, with somebody else listening behind the faults."""
-    scene = load_scene(DEMO, [*IN_AND_OUT, "bus.channel=overheard", *overrides])
+    scene = load_scene(DEMO, [*IN_AND_OUT, PATIENT, "bus.channel=overheard", *overrides])
     with virtual_bus("overheard") as listener, build(scene, "free") as experiment:
         cycle, error = experiment.cycle, None
         [port] = cycle.ports
@@ -174,7 +175,8 @@ DISTURBANCES = [
 @pytest.mark.parametrize("passivity", [GUARDED, PAPER], ids=["guarded", "internal_dissipation"])
 def test_in_every_disturbance_the_ledger_never_believes_too_much(passivity: str, bus: str) -> None:
     seen = disturbed(f"simulation.bus={{{bus}}}", passivity, QUICK)
-    assert seen.error is None
+    assert seen.error is None or "duplicate" in bus
+    assert isinstance(seen.error, TpdoContradictedError | None)  # a repeated TPDO that answers the next SYNC as well
     assert_ledger_bound_kept(seen)
 
 
@@ -251,7 +253,7 @@ def test_two_runs_of_one_seed_are_the_same_to_the_byte(tmp_path: Path) -> None:
     bus = "drop: 0.05, jitter: 300 us, duplicate: 0.1, reorder: 0.05, foreign_rate: 200, wire_time: true"
     logs = []
     for n, seed in enumerate((1, 1, 2)):
-        overrides = [f"simulation.bus={{{bus}, {AFTER_THE_START}}}", f"simulation.seed={seed}", QUICK]
+        overrides = [f"simulation.bus={{{bus}, {AFTER_THE_START}}}", f"simulation.seed={seed}", QUICK, PATIENT]
         with build(load_scene(DEMO, overrides), "free", bus_log=tmp_path / f"{n}.log") as experiment:
             run(experiment.cycle, 300)
         logs.append((tmp_path / f"{n}.log").read_bytes())
