@@ -250,7 +250,7 @@ def _check_far(scene: Scene, sections: MarkedMapping, faults: Diagnostics) -> No
     from canhaptic.scene.far_findings import round_trip
 
     axis = scene.far_axis
-    alone = {axis.parameters.name: axis for axis in scene.axes if not axis.group and not axis.parameters.admittance}
+    alone = [axis.parameters.name for axis in scene.axes if not axis.group and not axis.parameters.admittance]
     if axis is None or axis.parameters.name not in alone:
         text = f"got {scene.far.axis!r}, expected the name of a torque axis outside groups"
         ways = ", ".join(alone) or "there is none here; a group has no far side, take the axis out of it"

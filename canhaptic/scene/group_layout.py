@@ -77,7 +77,7 @@ def _names_of_axes(section: MarkedMapping, faults: Diagnostics) -> tuple[str, ..
     return ()
 
 
-def check_group_axes(
+def check_members(
     groups: Sequence[Members], mechanisms: Sequence[Members], names: Sequence[str], faults: Diagnostics
 ) -> None:
     """Note unknown axes, axes in two groups or two mechanisms, and duplicate names of groups.

@@ -116,11 +116,11 @@ def _members(written: MarkedMapping, simulation: MarkedMapping | None, faults: D
     """Return groups and simulated mechanisms; their layout is imported only if the scene has one."""
     if written.get("groups") is None and (simulation is None or simulation.get("mechanisms") is None):
         return [], []
-    from canhaptic.scene.group_layout import check_group_axes, members_of
+    from canhaptic.scene.group_layout import check_members, members_of
 
     groups = members_of(written, "groups", "groups, each with name, axes, network, ...", faults)
     mechanisms = members_of(simulation, "mechanisms", "mechanisms, each with type and axes", faults)
-    check_group_axes(groups, mechanisms, _axis_names(written), faults)
+    check_members(groups, mechanisms, _axis_names(written), faults)
     return groups, mechanisms
 
 

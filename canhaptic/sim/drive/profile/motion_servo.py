@@ -54,6 +54,8 @@ class MotionServo(Servo):
         self._store, self._hidden_ramp = store, scales.ramp or inf
         self._velocity_offset: Any = store.optional(objects.VELOCITY_OFFSET, DataType.INTEGER32)
         self._position_offset = store.optional(objects.POSITION_OFFSET, DataType.INTEGER32)
+        offsets = self._velocity_offset, self._position_offset
+        self._commands: tuple[Entry, ...] = (self._target_velocity, self._target_position, *offsets)
         self._offset = 0  # of the torque that acts [per mille of the rated torque]
         self._ramped = 0.0  # velocity demanded, at the begin of this hold [m/s or rad/s]
         self._braking_since = -1
@@ -61,15 +63,12 @@ class MotionServo(Servo):
         self._has_taken, self._sampled_at, self._period = False, 0, 0.0
         super().__init__(store, motor, parameters)
         self.sensor_on_bus = None if scales.force_node is None else scales
-        for commanded in self._commands():
+        for commanded in self._commands:
             commanded.changed = self.obey
-
-    def _commands(self) -> tuple[Entry, ...]:
-        return self._target_velocity, self._target_position, self._velocity_offset, self._position_offset
 
     def reset(self) -> None:
         """Return to the state after power-on: no power; the motor keeps moving."""
-        for commanded in self._commands():
+        for commanded in self._commands:
             commanded.value = commanded.number
         super().reset()
         self._power(self.machine.state)
