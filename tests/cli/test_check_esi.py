@@ -31,6 +31,7 @@ def two(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow_but("words3-*")
 @pytest.mark.parametrize(
     ("words", "status", "seen", "reason"),
     [

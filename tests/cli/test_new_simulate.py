@@ -57,7 +57,7 @@ def runs(eds: Path, folder: Path) -> None:
     assert main(["run", str(scene), "--duration", "0.05", "--json"]) == 0
 
 
-@pytest.mark.slow_but("no 0x6502")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GENERATED)
 def test_a_scene_runs_for_what_dictionaries_of_the_field_state(name: str, tmp_path: Path) -> None:
     eds = tmp_path / "drive.eds"
@@ -147,6 +147,7 @@ def test_a_scene_of_guesses_says_what_it_does_not_render_and_what_helps(
         assert ("% of the wall is rendered at most; canhaptic commission measures" in said) == is_said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Analog input", "Force, mean since SYNC"])
 def test_a_sensor_that_shows_means_is_declared_so(name: str, tmp_path: Path) -> None:
     text = (REPOSITORY / "eds" / "cia402_admittance.eds").read_text()

@@ -235,6 +235,7 @@ def test_a_skipped_sync_costs_the_windows_around_it_and_not_the_test(monkeypatch
     assert verdicts(session.report) == [AGREES, AGREES, AGREES]
 
 
+@pytest.mark.slow_but("8-False")
 @pytest.mark.parametrize(("serial", "is_checked"), [(7, True), (8, False)])
 def test_a_check_of_the_hold_is_of_the_drive_that_was_tried(serial: int, *, is_checked: bool) -> None:
     objects = "simulation.drive.objects={{0x6502: 0x200, '0x1018.4': {}}}"

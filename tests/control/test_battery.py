@@ -97,7 +97,7 @@ def test_after_reset_the_run_repeats_bit_for_bit(environment, algorithm, delay):
     assert first[0] == AT_REST
 
 
-@pytest.mark.slow_but("*-spring_damper_wall", "guarded-coulomb_surface")
+@pytest.mark.slow_but("guarded-coulomb_surface", "unprotected-spring_*", "internal_*-spring_*")
 @every_algorithm
 def test_a_value_that_is_not_finite_raises_and_nothing_of_before_remains(environment, algorithm):
     made = controller(algorithm, EVERY[environment][0], 1)

@@ -17,6 +17,7 @@ from canhaptic.drive.can.servo_drive import ServoDrive
 from canhaptic.drive.clock import VirtualClock
 from canhaptic.drive.rig import Rig
 from canhaptic.signals import PlantEnergy
+from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.drive.can.drive_node import DrivesOnBus, SimulatedDrive
 
@@ -179,7 +180,7 @@ def make_bench(
     axes = axes or [axis()]
     parameters = CanBusParameters(**{"rate": 1000.0, **(bus or {})})
     channel = private_channel()
-    buses = [can.Bus(interface="virtual", channel=channel, preserve_timestamps=True) for _ in range(len(axes) + 1)]
+    buses: list[can.BusABC] = [LeanVirtualBus(channel) for _ in range(len(axes) + 1)]
     simulated = [
         SimulatedDrive(
             connection,

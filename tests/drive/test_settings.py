@@ -39,6 +39,7 @@ def test_a_drive_as_commissioned_starts_and_its_text_is_what_commissioning_recor
     assert b.rig.drives[0].remarks == []
 
 
+@pytest.mark.slow_but("now1*", "now3*")
 @pytest.mark.parametrize(
     ("now", "named"),
     [

@@ -34,6 +34,7 @@ def test_a_knob_that_gives_energy_back_is_rendered_as_requested() -> None:
     assert "no_torque_after" not in port["contact"]
 
 
+@pytest.mark.slow
 def test_check_says_what_is_rendered_of_a_detent_once_the_allowance_is_spent() -> None:
     wall = canhaptic.check("rotary_knob", SPENT)["wall"]
     assert "while any of the energy_allowance of 20.0 uJ is left" in wall

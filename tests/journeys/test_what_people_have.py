@@ -115,6 +115,7 @@ class Half(SteppedController):
     kernel = sampled_kernel(lambda run, hold, asked: Reply(0.5, 0.5 * asked.spring, 0.0, 0.0, 0.0))
 
 
+@pytest.mark.slow
 def test_algorithms_of_ones_own_are_compared_by_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
     solved = Mock(wraps=compare.reference_of)
     monkeypatch.setattr(compare, "reference_of", solved)

@@ -84,6 +84,7 @@ def all_faults(function: Any) -> list[str]:
     return [fault for part in reached(function, set()) for fault in faults(part)]
 
 
+@pytest.mark.slow_but("guarded", "internal_dissipation", "passivity_observer", "unprotected")
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_an_algorithm_keeps_to_the_form_of_kernels(algorithm: str) -> None:
     kernel = load(ALGORITHMS, algorithm, "passivity algorithm").kernel
@@ -91,6 +92,7 @@ def test_an_algorithm_keeps_to_the_form_of_kernels(algorithm: str) -> None:
     assert all_faults(kernel.step) == []
 
 
+@pytest.mark.slow_but("guarded")
 @pytest.mark.parametrize("algorithm", GROUP_ALGORITHMS)
 def test_an_algorithm_of_groups_keeps_to_the_form_of_kernels(algorithm: str) -> None:
     kernel = load(GROUP_ALGORITHMS, algorithm, "group algorithm").kernel

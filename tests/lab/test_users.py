@@ -53,7 +53,7 @@ def least(algorithm, user, stiffness, rate=1000.0, **options):
     return run.least_interaction, float(np.abs(run.torque).max())
 
 
-@pytest.mark.slow_but("0-telegraph", "1-adversary", "1-sudden_pull")
+@pytest.mark.slow_but("1-adversary")
 @pytest.mark.parametrize("name", USERS)
 @pytest.mark.parametrize("delay", [0, 1])
 def test_guarded_gives_out_nothing_to_users_within_the_declared_force(name, delay):

@@ -135,7 +135,7 @@ def test_each_frame_names_its_bus_in_every_format(tmp_path: Path, suffix: str) -
     ]
 
 
-@pytest.mark.slow_for("asc")
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["log", "blf", "asc"])
 def test_absolute_time_survives_in_the_formats_that_have_it(tmp_path: Path, suffix: str) -> None:
     """ASC has it in its head alone, to the millisecond, and python-can's default reader drops that."""
@@ -151,7 +151,7 @@ def test_names_of_buses_that_cannot_be_told_apart_are_refused(tmp_path: Path, na
         BusLogWriter(tmp_path / "a.log", names)
 
 
-@pytest.mark.slow_for("trc", "asc")
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["blf", "trc", "asc"])
 def test_other_formats_hold_the_same_frames(tmp_path: Path, suffix: str) -> None:
     frames = [
@@ -278,6 +278,7 @@ def test_a_writer_killed_in_a_later_file_of_a_series_doubles_no_line(tmp_path: P
     os.close(descriptor)
 
 
+@pytest.mark.slow_but("failed*", "completed-None")
 @pytest.mark.parametrize(
     ("status", "first"), [("failed: LinkError", 9_000), ("complete", None), ("completed", None), ("stopped", None)]
 )

@@ -45,6 +45,7 @@ def test_importing_the_package_imports_nothing_else() -> None:
     assert found.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_a_loop_of_its_own_loads_neither_numpy_nor_a_bus_nor_a_file_format() -> None:
     code = (
         "import sys, examples.own_loop; "

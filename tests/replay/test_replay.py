@@ -156,6 +156,7 @@ def test_a_difference_is_timed_from_the_beginning_of_the_log(tmp_path: Path) -> 
     assert difference["time"] == pytest.approx(float(lines_of(name)[number][1:18]) - float(lines_of(name)[0][1:18]))
 
 
+@pytest.mark.slow
 def test_what_a_drive_sends_between_two_commands_of_one_instant_is_no_difference(tmp_path: Path) -> None:
     lines = lines_of("two_axes")
     pairs = [n for n, line in enumerate(lines) if " 201#" in line and " 205#" in lines[n + 1]]
@@ -205,6 +206,7 @@ def test_a_flipped_bit_of_a_recorded_position_is_found_where_it_changes_the_torq
         assert any(frame["number"] == number + 1 for frame in difference["before"])
 
 
+@pytest.mark.slow
 def test_an_sdo_that_was_refused_then_is_shown_by_what_the_master_does_now(tmp_path: Path) -> None:
     lines = lines_of("demo")
     answers = [number for number, line in enumerate(lines) if " 581#60" in line]
@@ -227,6 +229,7 @@ def test_a_frame_that_was_not_recorded_and_one_that_is_not_sent_are_told_apart(t
     assert (difference["number"], difference["sent"]) == (len(extra), None)
 
 
+@pytest.mark.slow
 def test_a_recording_that_was_cut_off_is_compared_as_far_as_it_goes(tmp_path: Path) -> None:
     lines = lines_of("paper_fig8_100hz")
     for length in (len(lines) // 2, len(lines) // 3, 240):
@@ -267,6 +270,7 @@ def test_a_late_sync_and_a_skipped_one_are_as_late_in_the_replay(
     assert (result["status"], result["difference"]) == ("identical", None)
 
 
+@pytest.mark.slow
 def test_the_masters_heartbeats_are_left_out(tmp_path: Path) -> None:
     lines = lines_of("paper_fig7_40hz")
     bare = [line for line in lines if " 77E#" not in line]

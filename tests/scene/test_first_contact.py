@@ -44,6 +44,7 @@ def axis(*changes: str, name: str = "demo.yaml") -> AxisScene:
     return load_scene(CONFIGS / name, changes).axes[0]
 
 
+@pytest.mark.slow
 def test_a_wall_for_a_hand_that_does_not_pull_is_felt_from_the_start_and_one_for_a_strong_hand_from_a_speed() -> None:
     weak, strong = axis(), axis("passivity.hand_force=20")
     assert felt_from(weak) < 2e-3
@@ -281,6 +282,7 @@ def test_a_contact_is_kept_for_its_own_loop_algorithm_limits_and_speed_alone(mon
     assert rendered_share(axis(), 0.21) == 0.0
 
 
+@pytest.mark.slow_but("1e-05*")
 @pytest.mark.parametrize(("count", "most"), [(1e-5, 8e3), (1e-6, 3e4)])
 def test_asking_for_more_is_felt_as_no_less(count: float, most: float) -> None:
     """What is asked up to 30 kN/m, with dry friction that sustains 4 kN/m at 10 um and 40 kN/m at 1 um."""

@@ -151,6 +151,7 @@ def test_a_converted_scene_is_the_one_of_its_old_log_and_a_changed_one_is_not(na
             scene_of(log, other)
 
 
+@pytest.mark.slow
 def test_a_log_of_the_second_release_is_of_its_scene_and_recomputes_to_the_bit(tmp_path: Path) -> None:
     """Its configuration had `simulation.compiled`, which is gone."""
     path, other = OLD_LOGS / "axis_of_0_2.yaml", tmp_path / "other.yaml"

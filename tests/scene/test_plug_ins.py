@@ -85,6 +85,7 @@ def test_a_sensor_of_a_package_a_class_and_a_function_indicate_the_same() -> Non
         forces({"type": "gone"})
 
 
+@pytest.mark.slow
 def test_what_is_installed_is_listed_and_a_broken_one_is_named_to_who_asks(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

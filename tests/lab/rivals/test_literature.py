@@ -52,7 +52,7 @@ def presses(depth=-2e-3, steps=40, count=1):
     return [0.001, 0.0, *np.concatenate([np.concatenate([way, way[::-1]]) for _ in range(count)])]
 
 
-@pytest.mark.slow_but("*-1")
+@pytest.mark.slow_but("energy_tank-1", "adaptive_reference-1")
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("algorithm", LITERATURE)
 def test_it_promises_nothing_and_books_what_the_plant_took(algorithm, delay):
