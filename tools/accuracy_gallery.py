@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from canhaptic.lab.render.accuracy_picture import draw_accuracy
 from canhaptic.lab.studies.accuracy.accuracy_table import advice, advice_lines, length
-from canhaptic.lab.studies.accuracy.studied_port import chosen_part
+from canhaptic.lab.studies.accuracy.studied_port import now, studied
 from canhaptic.lab.studies.accuracy.study import AccuracyStudy
 from canhaptic.scene.load import load_scene
 from tools.bench.report import write_result
@@ -43,7 +43,7 @@ def redraw(name: str, folder: Path) -> None:
     """Writes advice and picture anew from what was measured before."""
     result = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     scene = load_scene(Path("configs") / "accuracy" / f"{name}.yaml")
-    result["now"] = chosen_part(scene, None).now()
+    result["now"] = now(studied(scene, None))
     result["advice"] = advice(result["plant"], result["advice"]["effects"], result["tolerance"], result["orders"])
     _write(name, result, folder)
 

@@ -46,8 +46,8 @@ def test_the_table_shows_the_algorithm_that_gives_energy(capsys: pytest.CaptureF
     ("words", "message"),
     [
         (["--algorithms", "energy_tank"], "unknown group algorithm 'energy_tank'"),
-        (["--rate", "100"], "for this one use --set bus.rate"),
-        (["--png", "a.png"], "draw a group with canhaptic run --png"),
+        (["--rate", "100"], "use --set bus.rate"),
+        (["--png", "a.png"], "draw this one with canhaptic run --png"),
     ],
 )
 def test_what_groups_have_not_is_refused_in_words(

@@ -202,7 +202,7 @@ def test_a_group_is_compiled_where_one_size_of_it_runs_long_enough() -> None:
 def test_an_effect_of_one_plant_of_a_group_is_priced_against_that_plant() -> None:
     scene = rough("two_handles")
     study = AccuracyStudy(scene, budget=0.0, duration=0.02)
-    plants = plants_of(study.part.scene, 20, lambda: False)
+    plants = plants_of(study.alone, 20, lambda: False)
     assert list(plants.measure_effects(AccuracyParameters()))
     first, second = scene.groups[0].axes
     seconds = {
@@ -220,7 +220,7 @@ def test_an_effect_of_one_plant_of_a_group_is_priced_against_that_plant() -> Non
 @pytest.mark.slow
 def test_our_settings_are_tried_where_only_one_plant_of_a_group_has_friction() -> None:
     friction = "simulation.axes.second.effects=[{type: coulomb_friction, kinetic: 2 N, static: 3 N}]"
-    plants = plants_of(AccuracyStudy(scene_of("two_handles", friction)).part.scene, 20, lambda: False)
+    plants = plants_of(AccuracyStudy(scene_of("two_handles", friction)).alone, 20, lambda: False)
     assert list(plants.measure())
     ours = [row["setting"] for row in plants.rows if row["method"] == OURS]
     assert len(set(ours)) == len(ours) > 1

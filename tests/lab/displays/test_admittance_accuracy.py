@@ -10,6 +10,7 @@ from canhaptic.cli.main import main
 from canhaptic.errors import InputError
 from canhaptic.lab.batch.scalar import run_display
 from canhaptic.lab.render.accuracy_picture import draw_accuracy
+from canhaptic.lab.studies.accuracy.accuracy_table import accuracy_tables
 from canhaptic.lab.studies.accuracy.ideal_loop import IdealStudy, exact_motion, why_no_equations
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import simulation_of
@@ -58,6 +59,21 @@ def test_a_group_and_what_has_no_equations_are_studied_as_far_as_they_go() -> No
     assert found["loop"][0]["status"] == "ok"
     stopped = IdealStudy(scene, stop=lambda: True).run()
     assert (stopped["status"], stopped["loop"]) == ("stopped", [])
+
+
+def test_the_table_of_the_loop_has_the_columns_that_its_rows_have_and_says_what_was_refused() -> None:
+    known = {"position_error": 1e-6, "energy_error": 2e-6, "mass_felt": float("nan"), "guard_acts": 0.1}
+    rows = [{"changed": "the scene", "to": "", "status": "ok", **known},
+            {"changed": "rate", "to": "500 Hz", "status": "too fast", **known},
+            {"changed": "algorithm", "to": "guarded", "status": "refused: no mass"}]  # fmt: skip
+    [table] = accuracy_tables({"unit": "m", "reference": {"travel": 1.0}, "plant": [], "loop": rows})
+    lines = [line for line in table.markdown().splitlines() if line.startswith("|")]
+    assert [line.strip("| ") for line in (lines[0], *lines[2:])] == [
+        "changed | to | position | energy | mass felt | guard acts",
+        "the scene |  | 1.00 um | 2.00 uJ | - | 10 %",
+        "rate | 500 Hz (ended: too fast) | 1.00 um | 2.00 uJ | - | 10 %",
+        "algorithm | guarded | refused",
+    ]
 
 
 def test_an_absent_axis_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

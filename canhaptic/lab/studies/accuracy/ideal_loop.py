@@ -44,20 +44,20 @@ class IdealStudy(PortStudy):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._plants: list[Row] = []
-        alone, self._steps = self.part.scene, _steps(self.scene)
+        alone, self._steps = self.alone, _steps(self.scene)
         self._ideal = run_display(_ideal(alone, self._steps), self.holds * self._steps)
         self._coarser = run_display(_ideal(alone, self._steps // 2), self.holds * self._steps // 2)
 
     def _measure(self) -> None:
-        every = list(_variants(self.part.scene))
+        every = list(_variants(self.alone))
         for number, variant in enumerate(every, 1):
             self._reach(number / (1 + len(every)))
             self._check()
             self._rows.append(self._row(variant))
-        self._plants = [_plant_row(self.part.scene, axis, self.holds) for axis in self.part.scene.axes]
+        self._plants = [_plant_row(self.alone, axis, self.holds) for axis in self.alone.axes]
 
     def _row(self, variant: Variant) -> Row:
-        steps = round(self._steps * variant.sample_time_ns / self.part.scene.bus.sample_time_ns)
+        steps = round(self._steps * variant.sample_time_ns / self.alone.bus.sample_time_ns)
         row, clock = Row(changed=variant.group, to=variant.setting), ProcessorClock()
         begin = clock.now()
         try:
@@ -87,8 +87,8 @@ class IdealStudy(PortStudy):
         ideal = self._ideal
         return {
             "scene": self.scene.source,
-            "axis": self.part.name,
-            "unit": self.part.scene.axes[0].parameters.unit,
+            "axis": self.alone.ports[0].name,
+            "unit": self.alone.axes[0].parameters.unit,
             "rate": 1.0 / self.scene.bus.sample_time,
             "holds": self.holds,
             "reference": {

@@ -22,56 +22,43 @@ UNITS: Final = 1000
 """Units of progress in the whole study."""
 
 
-@dataclass(frozen=True, slots=True)
-class StudiedPart:
-    """An axis outside groups, or a group, as the subject of a study.
-
-    Attributes:
-        name: Name of the axis or the group.
-        scene: Scene of the part alone.
-    """
-
-    name: str
-    scene: Scene
-
-    def first_rows(self, holds: int) -> Iterator[str]:
-        """Yield a line for each plant setting: its evaluations, and its difference from the finest setting."""
-        if self.scene.groups:
-            return
-        (axis,), period = self.scene.axes, self.scene.bus.sample_time_ns
-        simulation = simulation_of(axis)
-        torques = torque_history(axis, self.scene, holds, simulation.accuracy)
-        settings = plant_solvers.own_ladder(simulation, period)
-        best = observed(build_plant(replace(simulation, accuracy=settings[-1]), period), torques).position
-        for accuracy in dict.fromkeys((plant_solvers.own_setting(simulation, period), *settings)):
-            rung = plant_solvers.ours(simulation, accuracy, torques, period)
-            motion, evaluations, _ = rung.observe()
-            apart = length(float(np.abs(motion.position - best).max()), axis.parameters.unit)
-            yield f"{rung.setting}: {evaluations / holds:.3g} evaluations per period, {apart} from the finest setting"
-
-    def now(self) -> Row:
-        """Return the scene's own values of the settings that variants change, by kind of change, and its accuracy."""
-        accuracy, period = AccuracyParameters(), self.scene.bus.sample_time_ns
-        plants = (axis.simulation for axis in self.scene.axes)  # none where a mechanism moves the axes
-        if (plant := next(plants)) is not None:
-            accuracy = plant_solvers.own_setting(plant, period)
-        as_plain = accuracy.model_dump(include={"event_bits", "substeps"})
-        return {"accuracy": as_plain, **settings_now(self.scene)}
+def first_rows(alone: Scene, holds: int) -> Iterator[str]:
+    """Yield a line for each setting of the plant of an axis: its evaluations, and its difference from the finest."""
+    if alone.groups:
+        return
+    (axis,), period = alone.axes, alone.bus.sample_time_ns
+    simulation = simulation_of(axis)
+    torques = torque_history(axis, alone, holds, simulation.accuracy)
+    settings = plant_solvers.own_ladder(simulation, period)
+    best = observed(build_plant(replace(simulation, accuracy=settings[-1]), period), torques).position
+    for accuracy in dict.fromkeys((plant_solvers.own_setting(simulation, period), *settings)):
+        rung = plant_solvers.ours(simulation, accuracy, torques, period)
+        motion, evaluations, _ = rung.observe()
+        apart = length(float(np.abs(motion.position - best).max()), axis.parameters.unit)
+        yield f"{rung.setting}: {evaluations / holds:.3g} evaluations per period, {apart} from the finest setting"
 
 
-def chosen_part(scene: Scene, name: str | None) -> StudiedPart:
-    """Return an axis or a group by name; by default the first axis, or its group.
+def now(alone: Scene) -> Row:
+    """Return a port's own values of the settings that variants change, by kind of change, and its accuracy."""
+    accuracy, plant = AccuracyParameters(), alone.axes[0].simulation  # none where a mechanism moves the axes
+    if plant is not None:
+        accuracy = plant_solvers.own_setting(plant, alone.bus.sample_time_ns)
+    return {"accuracy": accuracy.model_dump(include={"event_bits", "substeps"}), **settings_now(alone)}
+
+
+def studied(scene: Scene, name: str | None) -> Scene:
+    """Return the scene with only one port, by its name or that of one of its axes; by default that of the first axis.
 
     Raises:
-        InputError: There is none of that name, or it is not simulated.
+        InputError: There is none of that name, or its mechanism also moves others.
     """
     require_near(scene)
     parts = parts_of(scene)
     chosen = next((axis.port for axis in scene.axes if name in (None, axis.parameters.name, axis.port)), None)
     if chosen is None:
         raise InputError(f"{scene.source}: got axis {name!r}, expected one of: {', '.join(parts)}")
-    mechanism_moved(parts[chosen])  # refuses one that also moves others
-    return StudiedPart(chosen, parts[chosen])
+    mechanism_moved(parts[chosen])
+    return parts[chosen]
 
 
 _LONGEST: Final = 4000
@@ -95,16 +82,16 @@ def length_of(scene: Scene, name: str | None, duration: float | None = None) -> 
 
     If the algorithm of the scene sends no torque, the unprotected controller is used instead.
     """
-    part = chosen_part(scene, name)
-    if part.scene.groups:
+    alone = studied(scene, name)
+    if alone.groups:
         return Length(scene, holds_of(scene, duration))
     most = holds_of(scene, duration) if duration is not None else _LONGEST
     if duration is None and scene.run.duration is not None:
         most = min(_LONGEST, round(scene.run.duration / scene.bus.sample_time))
-    (own,), remark = part.scene.axes, ""
+    (own,), remark = alone.axes, ""
     begins = _contacts(own, scene, most)
     if not begins and own.passivity.name != _JUDGED_WITH:
-        [axis] = under(part.scene, _JUDGED_WITH).permitted().axes
+        [axis] = under(alone, _JUDGED_WITH).permitted().axes
         plain = replace(scene, axes=tuple(axis if of is own else of for of in scene.axes))
         begins = _contacts(axis, plain, most)
         if begins:
@@ -160,7 +147,7 @@ class PortStudy:
     stop: Stop = lambda: False
 
     def __post_init__(self) -> None:
-        self.part, self.holds = chosen_part(self.scene, self.axis), holds_of(self.scene, self.duration)
+        self.alone, self.holds = studied(self.scene, self.axis), holds_of(self.scene, self.duration)
         self._rows: list[Row] = []
         self._status, self._done = "stopped", 0
 

@@ -32,7 +32,7 @@ from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy import loop_sensitivity, plant_solvers, timing
 from canhaptic.lab.studies.accuracy.accuracy_table import advice, error_per_microsecond, pareto, rank_agreement
 from canhaptic.lab.studies.accuracy.ideal_loop import IdealStudy
-from canhaptic.lab.studies.accuracy.studied_port import PortStudy, chosen_part, length_of, require_own_axis
+from canhaptic.lab.studies.accuracy.studied_port import PortStudy, first_rows, length_of, now, require_own_axis, studied
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.sim.plant import AccuracyParameters
@@ -73,7 +73,7 @@ def study_accuracy(
     Raises:
         InputError: No axis or group has this name, or it is not simulated.
     """
-    if chosen_part(scene, axis).scene.ports[0].causality is not IMPEDANCE:
+    if studied(scene, axis).ports[0].causality is not IMPEDANCE:
         return IdealStudy(scene, axis, duration=duration, progress=progress, stop=stop).run()
     chosen = length_of(scene, axis, duration)
     return AccuracyStudy(
@@ -109,7 +109,7 @@ class AccuracyStudy(PortStudy):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        counts = max(abs(axis.parameters.counts_per_unit) for axis in self.part.scene.axes)
+        counts = max(abs(axis.parameters.counts_per_unit) for axis in self.alone.axes)
         self._tolerance = self.tolerance or self.scene.accuracy_tolerance or _TENTH / counts
         self._plant: plant_solvers.Plants | None = None
         self._loops: list[loop_sensitivity.LoopRow] = []
@@ -121,7 +121,7 @@ class AccuracyStudy(PortStudy):
 
     def _measure(self) -> None:
         if self.say is not None:
-            for row in self.part.first_rows(self.holds):
+            for row in first_rows(self.alone, self.holds):
                 self._check()
                 self.say(row)
         try:
@@ -137,7 +137,7 @@ class AccuracyStudy(PortStudy):
 
     def _measure_plant(self) -> None:
         """Run the ladder of settings and methods, and the plant without each effect."""
-        plant = plant_solvers.plants_of(self.part.scene, self.holds, self._counted_stop("references"))
+        plant = plant_solvers.plants_of(self.alone, self.holds, self._counted_stop("references"))
         if len(plant.torques) < self.holds:
             self._remark(
                 f"left out: all but the first {len(plant.torques)} of {self.holds} sample times, whose reference took "
@@ -169,8 +169,8 @@ class AccuracyStudy(PortStudy):
                 raise NotSolvedError("its reference takes too long; left out (a larger --budget includes it)")
             return asked()
 
-        exact = continuous_motion(self.part.scene, step, steps, stop)
-        every = loop_sensitivity.variants(self.part.scene, self.scene, self._remark)
+        exact = continuous_motion(self.alone, step, steps, stop)
+        every = loop_sensitivity.variants(self.alone, self.scene, self._remark)
         engines = loop_sensitivity.engines_of(every, self.holds * period, self.engine)
         for number, (variant, engine) in enumerate(zip(every, engines, strict=True)):
             if number and self._is_over("loops"):
@@ -261,22 +261,22 @@ class AccuracyStudy(PortStudy):
 
     def result(self) -> Row:
         """Return all results so far, as plain values."""
-        bus, plant, is_group = self.scene.bus, self._plant, bool(self.part.scene.groups)
-        moved = (of.mechanism.name for of in self.part.scene.mechanisms)
+        bus, plant, is_group = self.scene.bus, self._plant, bool(self.alone.groups)
+        moved = (of.mechanism.name for of in self.alone.mechanisms)
         work = self._times.get(timing.WORKLOAD)
         rows, orders = ([], []) if plant is None else (self._plant_rows(plant), plant.orders())
         return {
             "scene": self.scene.source,
             "config_hash": self.scene.config_hash(),
-            "axis": self.part.name,
+            "axis": self.alone.ports[0].name,
             "is_group": is_group,
-            "unit": self.part.scene.axes[0].parameters.unit,
+            "unit": self.alone.axes[0].parameters.unit,
             "status": self._status,
             "rate": 1.0 / bus.sample_time,
             "holds": self.holds,
             "duration": self.holds * bus.sample_time,
             "tolerance": self._tolerance,
-            "now": self.part.now(),
+            "now": now(self.alone),
             "judged": self.judged,
             "workload": work and {"what": timing.WORKLOAD, "seconds": work.least, "spread": work.spread},
             "log_us": self._run_price and self._run_price.log,
