@@ -55,7 +55,6 @@ def rederived(energy: Path, bus: Path, capsys: pytest.CaptureFixture[str]) -> di
     return found
 
 
-@pytest.mark.slow
 def test_a_capture_alone_gives_the_logged_account_bit_for_bit_and_a_flipped_bit_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
