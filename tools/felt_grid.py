@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.lab.batch.scalar import render_by
+from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.loop.axis_loop import loop_case
 from canhaptic.scene.load import load_scene
 
@@ -67,7 +67,7 @@ def sets_of(hand: Hand, asked: float, count: float, rate: float) -> list[str]:
 def felt(hand: Hand, asked: float, count: float, rate: float) -> float:
     """Returns the stiffness felt in the last seconds [N/m]: of the spring that gives most of the torque."""
     scene = load_scene(_SCENE, sets_of(hand, asked, count, rate))
-    run = render_by("numba", loop_case(scene.axes[0], scene), round(_SECONDS * rate))
+    run = render(loop_case(scene.axes[0], scene), round(_SECONDS * rate), engine="numba")
     last, places = round(_LAST * rate), run.true_position
     depth = np.maximum(0.0, -0.5 * (places[1:] + places[:-1]))[-last:]
     square = float(depth @ depth)

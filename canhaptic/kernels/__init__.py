@@ -90,9 +90,8 @@ class Run(NamedTuple, Generic[SettingsT, StateT, MemoryT]):
 class Kernel(NamedTuple):
     """A passivity algorithm as four functions; the comments give their arguments for one axis.
 
-    For a group with the `GroupModel` `world` they are settings(world, parameters, loops), state(),
-    memory(world, settings), and step(world, settings, state, memory, samples lost before, positions, torques applied)
-    -> `GroupHold`.
+    For several axes with the `GroupModel` `world` they are settings(world, parameters, loops), state(),
+    memory(world, settings), and step(world, Run, samples lost before, positions, torques applied) -> `GroupHold`.
     """
 
     settings: Callable[..., Any]  # (environment, parameters, loop) -> constants of a run

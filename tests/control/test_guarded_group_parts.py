@@ -72,7 +72,7 @@ def test_the_way_of_a_hand_pays_for_the_springs_of_all_axes(path: float, square:
 def test_what_the_modulated_dampers_took_is_summed_over_the_axes() -> None:
     group: Any = build_group_controller(WALL, Identity(axes=2), "guarded", GuardedParameters(), loops())
     group.step([0.01, 0.0], [0.0, 0.0])
-    commands = group._step.args[3].group.commands
+    commands = group._step.args[1].memory.group.commands
     commands.modulated[0][:] = [2.0, -3.0]
     account = group.step([0.011, -0.002], [0.0, 0.0]).account
     assert account.h_pas == pytest.approx(2.0 * 1e-3 + 3.0 * 2e-3)

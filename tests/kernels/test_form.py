@@ -31,7 +31,7 @@ from canhaptic.errors import ParameterError
 from canhaptic.lab.batch import closed_loop
 from canhaptic.lab.batch.closed_loop import run_loop
 from canhaptic.lab.batch.continuous_run import watch_continuous
-from canhaptic.lab.batch.group_loop import explain, move_five_bar, respond_as_group, step, take_group
+from canhaptic.lab.batch.network_loop import explain, move_five_bar, respond_together
 from canhaptic.lab.batch.plants import (
     book_motor,
     booked_work,
@@ -139,8 +139,8 @@ def test_the_loop_with_plant_reference_and_figures_keeps_to_the_form() -> None:
 
 def parts_of_groups() -> list[Any]:
     """Returns what the loop of a group reaches; of the stepper not what it replaces."""
-    known = {step, closed_loop.step, *by_its_way()}
-    group = (run_loop, respond_as_group, take_group, explain, move_five_bar)
+    known = {closed_loop.step, *by_its_way()}
+    group = (run_loop, respond_together, explain, move_five_bar)
     moving = (*group, move_event_motors, event_position_of, booked_work, run_substeps, residual_of_plant, book_motor)
     return [part for move in moving for part in reached(move, known)]
 

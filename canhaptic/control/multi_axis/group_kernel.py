@@ -30,7 +30,7 @@ from canhaptic.control.port_hamiltonian.sampled_network import (
 )
 from canhaptic.control.port_hamiltonian.shapes import Geometry, Mover, moved_by
 from canhaptic.errors import ControlError, ParameterError
-from canhaptic.kernels import Buffer, Kernel, Matrix, list_of_zeros, with_quick_fields, zeros
+from canhaptic.kernels import Buffer, Kernel, Matrix, Run, list_of_zeros, with_quick_fields, zeros
 from canhaptic.units import Parameters
 
 _NONE, _WORKSPACE, _UNSOLVED = Limit.NONE.value, Limit.WORKSPACE.value, Limit.UNSOLVED.value
@@ -634,8 +634,10 @@ class SteppedGroup:
 
     def _begin(self) -> tuple[Callable[..., GroupHold], Matrix, Buffer, Callable[[int], object]]:
         """Begin a run; return step function, commanded torques, h_i of each axis, and a function to zero a command."""
-        memory, fixed = with_quick_fields(self.kernel.memory(*self._fixed)), map(with_quick_fields, self._fixed)
-        step, commands = partial(self.kernel.step, *fixed, self.kernel.state(), memory), memory.group.commands
+        memory = with_quick_fields(self.kernel.memory(*self._fixed))
+        world, settings = map(with_quick_fields, self._fixed)
+        step = partial(self.kernel.step, world, Run(settings, self.kernel.state(), memory))
+        commands = memory.group.commands
         return step, commands.torques, memory.group.ended.interactions, partial(send_nothing, commands)
 
     def reset(self) -> None:

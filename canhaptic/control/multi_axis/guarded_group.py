@@ -186,21 +186,15 @@ def memory_of(world: group_kernel.GroupModel, settings: GuardedGroupSettings) ->
 
 
 def step(
-    world: group_kernel.GroupModel,
-    settings: GuardedGroupSettings,
-    state: GuardedGroupState,
-    memory: GuardedGroupMemory,
-    missed: int,
-    positions: Buffer,
-    torques_applied: Buffer,
+    world: group_kernel.GroupModel, run: GuardedRun, missed: int, positions: Buffer, torques_applied: Buffer
 ) -> GroupHold:
     """Book the hold that ended, and compute the next torques; see `canhaptic.kernels.Kernel`.
 
     Of the energies that late torques leave possible in one hold, the middle is booked, and half of the width is
     reserved as dissipated: torques are computed from the least energy. Of lost samples the least energy is booked.
     """
+    settings, state, memory = run
     group, motion, ended, commands = state.group, state.group.motion, memory.group.ended, memory.group.commands
-    run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
         begin(world, run, positions)
         return new(GroupHold, (AT_REST, 0.0, 0.0, 0, 0))

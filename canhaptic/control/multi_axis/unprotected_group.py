@@ -78,17 +78,11 @@ def memory_of(world: group_kernel.GroupModel, settings: UnprotectedSettings) -> 
 
 
 def step(
-    world: group_kernel.GroupModel,
-    settings: UnprotectedSettings,
-    state: UnprotectedState,
-    memory: UnprotectedMemory,
-    missed: int,
-    positions: Buffer,
-    torques_applied: Buffer,
+    world: group_kernel.GroupModel, run: UnprotectedRun, missed: int, positions: Buffer, torques_applied: Buffer
 ) -> GroupHold:
     """Book the hold that ended, and compute the next torques; see `canhaptic.kernels.Kernel`."""
+    settings, state, memory = run
     group, motion, ended, commands = state.group, state.group.motion, memory.group.ended, memory.group.commands
-    run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
         begin_group(world, settings.loop.motion, group, memory.group, positions)
         state.h_s = motion.energy

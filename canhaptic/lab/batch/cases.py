@@ -20,6 +20,7 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.control.passivity import ALGORITHMS
+from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import Kernel
 from canhaptic.lab.batch import plants as event_plant
@@ -351,8 +352,8 @@ def why_not_beforehand(scene: Scene) -> str:
     if len(scene.axes) != 1:
         return f"scene has {len(scene.axes)} axes, expected one"
     simulation = scene.axes[0].simulation
-    if simulation is None:
-        return "axis is not simulated"
+    if simulation is None or scene.ports[0].causality is not IMPEDANCE:
+        return "admittance displays run one by one" if simulation else "axis is not simulated"
     if scene.axes[0].environment.parts:
         return f"environment {scene.axes[0].environment.name} is a sum, which no compiled loop renders"
     if scene.axes[0].environment.own is not None:
@@ -361,8 +362,6 @@ def why_not_beforehand(scene: Scene) -> str:
 
 
 def _why_not_moved(simulation: AxisSimulation, algorithm: str, own: type[Any] | None) -> str:
-    if simulation.admittance is not None:
-        return "admittance displays run one by one"
     if own is not None:
         return f"algorithm {algorithm} is own code"
     if simulation.user is not None and not simulation.user.has_equations:

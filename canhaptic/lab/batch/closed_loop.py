@@ -5,8 +5,8 @@ of this file are for an axis with a linear plant, which moves by its exact trans
 summed term by term:
 
 * `move_motors` and `work_of` move the motors and give their work: `plants.EventMotors` replaces them for plants with
-  events, `group_loop` has those for a five-bar and for plants as objects;
-* `respond` steps the controller: of an axis, a group, or a display;
+  events, `network_loop` has those for a five-bar, `object_loop` those for plants as objects;
+* `respond` steps the controller of one motor; `network_loop` and `object_loop` replace it;
 * `take_sync`, `miss_sync` and `diverge` fill figures, or record rows;
 * `watch` computes something more, such as the continuous environment (`continuous_run`): by default nothing.
 """
@@ -14,15 +14,14 @@ summed term by term:
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from math import inf, isfinite
+from math import inf, isfinite, sqrt
 from typing import Annotated, Any, NamedTuple, TypeAlias
 
 from canhaptic.control.balance import EnergyBalance
-from canhaptic.control.environments import Environment
 from canhaptic.kernels import OFTEN_ZERO, Buffer, Indices, Matrix, Run, list_of_zeros, new, with_quick_fields
 from canhaptic.kernels.records import bound
 from canhaptic.lab.batch.mode_arrays import evaluate
-from canhaptic.lab.figures.meter import Meter, MeterSettings, diverge, miss, take
+from canhaptic.lab.figures.meter import Meter, MeterSettings, diverge, lose, miss, take_hold
 from canhaptic.sim.plant.effects.encoder_noise import noise, uniform
 from canhaptic.sim.plant.propagator import TICKS
 
@@ -117,13 +116,13 @@ def room_for(motors: int) -> Room:
 
 
 AxisRun: TypeAlias = Run[Any, Any, Any]
-"""State on which the kernel of any algorithm of one axis works."""
+"""State on which the kernel of any algorithm works."""
 
 
-class AxisControl(NamedTuple):
-    """The controller of one axis."""
+class Control(NamedTuple):
+    """A controller as a kernel."""
 
-    environment: Environment  # the rendered environment
+    world: Any  # what is rendered: an environment, or a network with its kinematics
     run: AxisRun  # settings of the algorithm, its state at rest, and memory of zeros
 
 
@@ -210,13 +209,13 @@ def is_lost(losses: Losses, was_lost: bool, tick: int) -> bool:
     return uniform(losses.seed, tick) < (losses.after_lost if was_lost else losses.after_heard)
 
 
-def step(environment: Environment, run: AxisRun, position: float, torque_applied: float) -> EnergyBalance:
-    """Placeholder of an algorithm's step; the caller of `run_loop` binds one."""
+def step(*_kernel: Any) -> Any:
+    """Placeholder of an algorithm's step (`Kernel.step`); the caller of `run_loop` binds one."""
     raise NotImplementedError
 
 
 def run_loop(
-    control: AxisControl, loops: Loops, motors: LinearMotors, room: Room, place: CycleState, watched: object,
+    control: Control, loops: Loops, motors: LinearMotors, room: Room, place: CycleState, watched: object,
     meter: Meter, cycles: int,
 ) -> bool:  # fmt: skip
     """Run a loop until its last SYNC or until it diverges; a number that is not finite counts as divergence.
@@ -357,23 +356,31 @@ def watch(watched: object, room: Room, meter: object, cycle: int) -> None:
     """Do nothing; a replacement such as `watch_continuous` computes something more at a SYNC."""
 
 
-def respond(control: AxisControl, room: Room, place: CycleState) -> EnergyBalance:
+def respond(control: Control, room: Room, place: CycleState) -> EnergyBalance:
     """Step the controller of an axis, and write its command; return the balance of the hold that ended."""
-    balance = step(control.environment, control.run, room.seen[0], room.held[0])
+    balance: EnergyBalance = step(control.world, control.run, room.seen[0], room.held[0])
     room.commands[0] = balance.torque
     return balance
 
 
 def take_sync(
-    control: AxisControl, loops: Loops, room: Room, place: CycleState, meter: Meter, balance: EnergyBalance
+    control: Control, loops: Loops, room: Room, place: CycleState, meter: Meter, balance: EnergyBalance
 ) -> None:
-    """Add a SYNC to the figures of an axis."""
-    received, world, of = place.supplied - place.work, control.environment, loops[0].meter
-    take(world, of, meter, place.cycle, room.seen[0], room.true[0], room.held[0], received, balance)
+    """Add a SYNC to the figures."""
+    held, of = room.held, loops[0].meter
+    torque = held[0]
+    square, largest = torque * torque, abs(torque)
+    lose(of, meter, room.moved[0])
+    for i in range(1, len(held)):
+        lose(loops[i].meter, meter, room.moved[i])
+        square += held[i] * held[i]
+        largest, torque = max(largest, abs(held[i])), sqrt(square)
+    received = place.supplied - place.work
+    take_hold(control.world, of, meter, place.cycle, room.seen[0], room.true[0], torque, largest, received, balance)
 
 
-def miss_sync(control: AxisControl, loops: Loops, room: Room, place: CycleState, meter: Meter) -> None:
+def miss_sync(control: Control, loops: Loops, room: Room, place: CycleState, meter: Meter) -> None:
     """Add a SYNC whose position did not reach the controller of an axis."""
     control.run.state.axis.missed += 1
     received = place.supplied - place.work
-    miss(control.environment, loops[0].meter, meter, place.cycle, room.true[0], room.held[0], received)
+    miss(control.world, loops[0].meter, meter, place.cycle, room.true[0], room.held[0], received)

@@ -1,6 +1,6 @@
-"""Loops of axes and groups compiled by numba, each with its controller, plant and figures; needs the extra `fast`.
+"""Loops compiled by numba, each with its controller, plant and figures; needs the extra `fast`.
 
-For studies that need every SYNC, `keep` writes rows (`compiled_rows`, `compiled_group_rows`). A compiled linear plant
+For studies that need every SYNC, `keep` writes rows (`compiled_rows`, `rows_together`). A compiled linear plant
 adds its products in another order than `Plant`, so that its rows differ from those of `scalar.render` by rounding; use
 `render` where the last bit matters.
 """
@@ -24,9 +24,9 @@ from canhaptic.kernels.compiler import compiled, fixed_tuple, tuple_type
 from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
 from canhaptic.lab.batch import cases, closed_loop
 from canhaptic.lab.batch.cases import NotBatchableError
-from canhaptic.lab.batch.closed_loop import AxisControl, motors_at, run_loop
+from canhaptic.lab.batch.closed_loop import Control, motors_at, run_loop
 from canhaptic.lab.batch.continuous_run import TERMS, Continuous, ReferenceMemory, ReferenceState, follow
-from canhaptic.lab.batch.group_loop import GroupCase, GroupControl, GroupMeter, TrueNetwork
+from canhaptic.lab.batch.network_loop import Explained, NetworkLoop, TrueNetwork
 from canhaptic.lab.batch.plants import CALLS, Plants, Stopped, loop_replacements, never_stopped, run_event_plants
 from canhaptic.lab.figures.meter import Meter, diverge, miss
 from canhaptic.lab.loop.axis_loop import Array, LoopCase, Reach
@@ -77,7 +77,7 @@ def run_loops(
         modes = i % len(mode_flows)
         reference = ReferenceMemory(mode_flows[modes], mode_rates[modes], mode_states[i], moved, series)
         if not run_loop(
-            AxisControl(environment, Run(settings[i], states[i], memory)), loops[i], motors_at(plants, i),
+            Control(environment, Run(settings[i], states[i], memory)), loops[i], motors_at(plants, i),
             rooms[i], places[i], Continuous(continuous[i], references[i], reference), meters[i], cycles,
         ):  # fmt: skip
             return i
@@ -227,40 +227,40 @@ def compiled_world(world: GroupModel) -> tuple[Any, Records]:
 
 @lru_cache(maxsize=16)
 def _compiled_loop(kernel: Kernel, parts: tuple[type, ...], replaced: tuple[tuple[object, object], ...]) -> Any:
-    """Return `run_loop` for an algorithm of groups; numba compiles it once for each size of group."""
+    """Return `run_loop` for an algorithm of several motors; numba compiles it once for each number of them."""
     instead = {noise: compiled_noise, uniform: compiled_uniform, **dict(replaced)}
     return compiled(run_loop, instead, keep=True, parts=parts, units=(kernel.step, stepper.run))
 
 
-def run_compiled(case: GroupCase, cycles: int, sums: Any, meter: Any, instead: Mapping[object, object]) -> bool:
-    """Run the compiled loop of a group; return False if its motors cannot be moved any further.
+def run_compiled(loop: NetworkLoop, cycles: int, sums: Any, meter: Any, instead: Mapping[object, object]) -> bool:
+    """Run the compiled loop of a network; return False if its motors cannot be moved any further.
 
     Args:
-        case: Case that can be compiled.
+        loop: Loop that can be compiled.
         cycles: Number of SYNCs.
         sums: Record of the sums of the shares.
         meter: What `take_sync` fills.
         instead: Function of the loop -> its replacement.
     """
-    bare, tables = compiled_world(case.world)
+    bare, tables = compiled_world(loop.world)
     world, parts = bare._replace(tables=tables[0]), (type(bare.mechanism), type(bare.geometry), type(bare.functions))
-    buffers = case.settings, case.kernel.memory(case.world, case.settings), closed_loop.room_for(len(case.loops))
+    buffers = loop.settings, loop.kernel.memory(loop.world, loop.settings), closed_loop.room_for(len(loop.loops))
     settings, memory, room = (record_of(one)[0] for one in buffers)
     state, place, motion = (
-        records_of([one])[0] for one in (case.kernel.state(), closed_loop.CycleState(), GroupMotion())
+        records_of([one])[0] for one in (loop.kernel.state(), closed_loop.CycleState(), GroupMotion())
     )
-    control, watched = GroupControl(world, settings, state, memory), None
-    if case.explains:
-        watched = TrueNetwork(world, motion, record_of(case.true_memory())[0], sums)
-    run = _compiled_loop(case.kernel, parts, (*case.replaced.items(), *instead.items()))
-    loops, motors = records_of(case.loops), case.motors.made(False)
+    control, watched = Control(world, Run(settings, state, memory)), None
+    if loop.explains:
+        watched = TrueNetwork(world, motion, record_of(loop.true_memory())[0], sums)
+    run = _compiled_loop(loop.kernel, parts, (*loop.replaced.items(), *instead.items()))
+    loops, motors = records_of(loop.loops), loop.motors.made(False)
     return bool(run(control, loops, motors, room, place, watched, meter, cycles))
 
 
-def compiled_group_meter(case: GroupCase, cycles: int) -> GroupMeter:
-    """Return the sums of a group at the end of its loop, or when it diverged."""
-    sums, found = records_of([GroupMeter()])[0], GroupMeter()
-    is_moved = run_compiled(case, cycles, sums, sums["figures"], {})
+def sums_together(loop: NetworkLoop, cycles: int) -> Explained:
+    """Return the sums of a network at the end of its loop, or when it diverged."""
+    sums, found = records_of([Explained()])[0], Explained()
+    is_moved = run_compiled(loop, cycles, sums, sums["figures"], {})
     _fill(found, sums)
     if not is_moved:
         diverge(found.figures)
@@ -315,10 +315,10 @@ def _kept(rows: Array) -> Array:
     return found
 
 
-def compiled_group_rows(case: GroupCase, cycles: int) -> Array:
-    """Return the rows of all SYNCs of a group until its loop ends; see `LoopRun.rows`."""
-    rows = _no_rows(cycles, len(case.loops))
-    run_compiled(case, cycles, records_of([GroupMeter()])[0], rows[0], _KEPT)
+def rows_together(loop: NetworkLoop, cycles: int) -> Array:
+    """Return the rows of all SYNCs of a network until its loop ends; see `LoopRun.rows`."""
+    rows = _no_rows(cycles, len(loop.loops))
+    run_compiled(loop, cycles, records_of([Explained()])[0], rows[0], _KEPT)
     return _kept(rows)
 
 

@@ -59,7 +59,7 @@ class InterpretedLoops:
                 self._modes.settings[i], self.references[i], reference_memory_of(self._modes, i)
             )
             cycle = closed_loop.run_in_python(
-                self._instead, closed_loop.AxisControl(row.environment, run), [row.loop], motors_at(plants, number),
+                self._instead, closed_loop.Control(row.environment, run), [row.loop], motors_at(plants, number),
                 continuous, self.meters[i], self._cycles,
             )  # fmt: skip
             if cycle:
@@ -275,9 +275,9 @@ def decay_per_hold(loops: Loops, sample_time: Array | float, delay: int) -> Arra
 
 def _linear_loop(scene: Scene, varied: Mapping[str, Array]) -> tuple[AxisSimulation, Environment, float]:
     """Return simulation, environment and stiffness [N/m or N*m/rad] of a scene; refuse a loop that is not linear."""
-    if scene.groups:
-        raise ParameterError(f"{scene.source}: spectral radius: expected one axis, got a group; run the scenes instead")
     axis = scene.axes[0]
+    if len(scene.ports[0].axes) > 1:
+        raise ParameterError(f"{scene.source}: spectral radius: expected one axis, got several; run the scenes instead")
     simulation, environment = axis.simulation, environment_of(axis)
     if simulation is None or len(scene.axes) != 1:
         raise ParameterError(f"{scene.source}: spectral radius: expected one axis, simulated; give it `simulation`")

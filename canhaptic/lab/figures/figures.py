@@ -17,7 +17,7 @@ import numpy as np
 from canhaptic.control.balance import WEAKEST_LAST
 from canhaptic.control.environments import Environment
 from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, take
-from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt
+from canhaptic.lab.loop.admittance_loop import felt, guarded_shares
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.reference import REST, ContinuousReference
 from canhaptic.quantities import FIGURES, OLD_FIGURES, QuantityRow, with_old_names
@@ -243,11 +243,11 @@ def _at_rest(metric: str, sums: Mapping[str, Array]) -> Array:
 class _Moved(NamedTuple):
     """A run of an admittance display, with values that several figures need."""
 
-    run: AdmittanceRun
+    run: LoopRun
     motion: Array  # true positions, velocities and forces
     felt: tuple[float, float]  # apparent mass and damping, see `felt`
     asked: float  # requested mass [kg or kg*m^2]; 0: none
-    shares: tuple[float, float, int]  # see `AdmittanceRun.shares`
+    shares: tuple[float, float, int]  # see `guarded_shares`
 
 
 DISPLAY_METRICS: Final = {
@@ -281,11 +281,11 @@ def _most(values: Array) -> float:
     return float(values.max()) if values.size else nan
 
 
-def figures_of(run: AdmittanceRun, scene: Scene) -> dict[str, float]:
+def figures_of(run: LoopRun, scene: Scene) -> dict[str, float]:
     """Return all figures of a run of an admittance display or group."""
     known = scene.ports[0].rendered.parameters
     asked = getattr(known, "inertia", getattr(known, "mass", None)) or 0.0
-    moved = _Moved(run, run.motion, felt(run, scene), float(asked), run.shares())
+    moved = _Moved(run, run.motion, felt(run, scene), float(asked), guarded_shares(run))
     return {name: float(figure.of(moved)) for name, figure in DISPLAY_METRICS.items()}
 
 

@@ -112,11 +112,36 @@ def take(
         interaction: True energy received since the start [J].
         balance: Balance booked by the controller.
     """
-    meter.cycles = cycle + 1.0
-    moved = true_position - meter.true_position if cycle else 0.0
-    meter.true_position = true_position
-    take_energy(settings, meter, moved, interaction, balance)
-    meter.torque_peak = max(meter.torque_peak, abs(torque))
+    lose(settings, meter, true_position - meter.true_position if cycle else 0.0)
+    take_hold(environment, settings, meter, cycle, position, true_position, torque, abs(torque), interaction, balance)
+
+
+def lose(settings: MeterSettings, meter: Meter, moved: float) -> None:
+    """Add what the device of a motor lost in a hold in which it moved [m or rad]."""
+    meter.lost += settings.damping_per_time * (moved * moved) + settings.friction * abs(moved)
+
+
+def take_hold(
+    environment: Environment, settings: MeterSettings, meter: Meter, cycle: int, position: float, true_position: float,
+    torque: float, largest: float, interaction: float, balance: EnergyBalance,
+) -> None:  # fmt: skip
+    """Add one SYNC to all sums but the losses; see `take`.
+
+    Args:
+        environment: The rendered environment.
+        settings: Constants of the sums.
+        meter: Sums of the run; changed.
+        cycle: Index of the SYNC.
+        position: Position that the controller received, of the first motor [m or rad].
+        true_position: True position of the first motor [m or rad].
+        torque: Torque applied in the hold that ended; of several motors, the Euclidean norm [N or N*m].
+        largest: Largest size of the torque of any motor [N or N*m].
+        interaction: True energy received since the start [J].
+        balance: Balance booked by the controller.
+    """
+    meter.cycles, meter.true_position = cycle + 1.0, true_position
+    take_energy(meter, interaction, balance)
+    meter.torque_peak = max(meter.torque_peak, largest)
     if settings.is_brief:
         return
     meter.highest, meter.lowest = max(meter.highest, true_position), min(meter.lowest, true_position)
@@ -124,6 +149,11 @@ def take(
     meter.torque = torque
     branch = balance.branch
     if branch != _FREE and branch != _EXIT and branch != _HELD:  # noqa: PLR1714 - `in` would search
+        rendered = balance.damping_rendered
+        meter.contacts += 1.0
+        meter.damping += rendered
+        meter.damping_least = min(meter.damping_least, rendered)
+        meter.damping_most = max(meter.damping_most, rendered)
         take_contact(environment, settings, meter, position, torque, balance)
     meter.certificate = max(meter.certificate, float(RANKS[balance.certificate]))
     count_branch(meter, branch)
@@ -144,13 +174,10 @@ def miss(
     take(environment, settings, meter, cycle, 0.0, true_position, torque, interaction, balance)
 
 
-def take_energy(
-    settings: MeterSettings, meter: Meter, moved: float, interaction: float, balance: EnergyBalance
-) -> None:
+def take_energy(meter: Meter, interaction: float, balance: EnergyBalance) -> None:
     """Add the energies of one SYNC; see `take`."""
     meter.interaction = interaction
     meter.least_interaction = min(meter.least_interaction, interaction)
-    meter.lost += settings.damping_per_time * (moved * moved) + settings.friction * abs(moved)
     meter.least_covered = min(meter.least_covered, interaction + meter.lost)
     meter.believed += balance.h_i
     meter.dissipated += balance.h_r
@@ -219,16 +246,11 @@ def take_contact(
     environment: Environment, settings: MeterSettings, meter: Meter, position: float, torque: float,
     balance: EnergyBalance,
 ) -> None:  # fmt: skip
-    """Add a hold in contact to the sums of the rendering."""
-    rendered = balance.damping_rendered
-    meter.contacts += 1.0
+    """Add a hold in contact to the sums of what was asked for and rendered."""
     meter.damping_requested += settings.damping
     if settings.by_place:
         asked = environment.damping_at(environment.true_state(position, 0.0, 0.0))
         meter.damping_requested += asked - settings.damping
-    meter.damping += rendered
-    meter.damping_least = min(meter.damping_least, rendered)
-    meter.damping_most = max(meter.damping_most, rendered)
     if not environment.relaxes:
         state = environment.true_state(position, 0.0, 0.0)
         meter.force -= torque

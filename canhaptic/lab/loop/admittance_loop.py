@@ -1,6 +1,5 @@
-"""Result of a run of an admittance display without a bus, and the mass and damping that its user feels."""
+"""What a run without a bus shows of commanded velocities: the guard's part, and the mass and damping that are felt."""
 
-from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -14,30 +13,23 @@ _STILL: Final = 1e-9  # smallest command that counts as motion [m/s or rad/s]
 _FEWEST: Final = 30  # fewest SYNCs for a fit of the apparent mass
 
 
-@dataclass(frozen=True)
-class AdmittanceRun(LoopRun):
-    """Result of one run; energies are sums over all axes, and `torque` holds velocity commands [m/s or rad/s]."""
+def guarded_shares(run: LoopRun) -> tuple[float, float, int]:
+    """Return how often a certificate limited a command, how often no certificate held, and the weakest one.
 
-    motion: Array = field(default_factory=lambda: np.empty((0, 1, 3)))  # true position, velocity, force of each axis
-    resolution: float = 0.0  # uncertainty of the energy [J]
-
-    def shares(self) -> tuple[float, float, int]:
-        """Return how often a certificate limited a command, how often no certificate held, and the weakest one.
-
-        Returns:
-            Share of the holds with a command in which a certificate limited it; share of all holds without a
-            certificate; and the weakest certificate.
-        """
-        certificate = self.booked.certificate.astype(int)
-        cuts = Certificate.VELOCITY_LOOP, Certificate.LARGEST_HAND_FORCE, Certificate.DECLARED_HAND
-        cut = np.isin(certificate, [of.value for of in cuts])
-        moving = np.count_nonzero(cut | (np.abs(self.booked.torque) > _STILL))
-        weakest = max(certificate.tolist(), key=RANKS.__getitem__, default=Certificate.EXACT.value)
-        cycles = max(1, len(certificate))
-        return cut.sum() / max(1, moving), np.count_nonzero(certificate == Certificate.NONE.value) / cycles, weakest
+    Returns:
+        Share of the holds with a command in which a certificate limited it; share of all holds without a certificate;
+        and the weakest certificate.
+    """
+    certificate = run.booked.certificate.astype(int)
+    cuts = Certificate.VELOCITY_LOOP, Certificate.LARGEST_HAND_FORCE, Certificate.DECLARED_HAND
+    cut = np.isin(certificate, [of.value for of in cuts])
+    moving = np.count_nonzero(cut | (np.abs(run.booked.torque) > _STILL))
+    weakest = max(certificate.tolist(), key=RANKS.__getitem__, default=Certificate.EXACT.value)
+    cycles = max(1, len(certificate))
+    return cut.sum() / max(1, moving), np.count_nonzero(certificate == Certificate.NONE.value) / cycles, weakest
 
 
-def felt(run: AdmittanceRun, scene: Scene) -> tuple[float, float]:
+def felt(run: LoopRun, scene: Scene) -> tuple[float, float]:
     """Return the apparent mass [kg or kg*m^2] and damping [N*s/m or N*m*s/rad], by least squares.
 
     F - k (q - rest) = m v' + b v + F_0 is fitted to true forces and velocities, with one m and b for all axes, away

@@ -1,4 +1,4 @@
-"""Loop of one axis without a bus: its case, made from a scene, and its result, a record of every hold.
+"""Loops without a bus: the case of one torque axis, made from a scene, and the result, a record of every hold.
 
 `loop_case` makes a case from a scene. `under` exchanges the algorithm of a scene: common parameters are kept, and
 properties that it needs and the scene does not declare are taken from the simulated plant.
@@ -9,7 +9,7 @@ columns of one table and are never a pass mark.
 
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple, cast
 
@@ -94,10 +94,12 @@ class LoopRun:
     """Result of one run; row k belongs to SYNC k. Energies are sums since the start [J]."""
 
     rows: Array  # columns: true energy received; measured positions, true positions and torques of the motors; balance
-    axes: int | None = None  # motors of a group, whose columns have shape (n, axes); None: one axis, shape (n,)
+    axes: int | None = None  # motors, whose columns have shape (n, axes); None: one, shape (n,)
     ended: str = ""  # "" if the run is complete, else "diverged" or "stopped"
     reason: str = ""  # why it was stopped
     engine: str = "python"  # python or numba; with ": " and the reason if it is not the requested one
+    motion: Array = field(default_factory=lambda: np.empty((0, 1, 3)))  # true position, velocity, force of each axis
+    resolution: float = 0.0  # uncertainty of the energy, where the drives show forces [J]
 
     @property
     def position(self) -> Array:
@@ -192,7 +194,7 @@ class Recorder:
     """Records every SYNC of a run, without a bus or over CAN.
 
     Args:
-        axes: Number of motors of a group; None for one axis.
+        axes: Number of motors; None for columns of shape (n,).
         tick: Called at every SYNC.
     """
 
@@ -322,10 +324,10 @@ def environment_of(axis: AxisScene) -> Environment:
     """Return the environment of an axis.
 
     Raises:
-        InputError: A group renders on the axis.
+        ParameterError: A group renders on the axis.
     """
     if axis.group:
-        raise InputError(
+        raise ParameterError(
             f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected an axis outside groups"
         )
     return cast(Environment, axis.environment.parameters)

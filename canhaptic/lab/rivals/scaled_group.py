@@ -464,8 +464,8 @@ def leave(world: GroupModel, run: ScaledRun, account: HoldAccount, touching: boo
 
 def write_model(world: GroupModel, run: ScaledRun) -> None:
     """Write the model's state to its buffer: from the ports, or for a network that moves by itself, one step on."""
-    followed, model = run.memory.group.motion.network, run.memory.model
-    if world.tables.moving or not run.state.group.motion.located:
+    followed, model, motion = run.memory.group.motion.network, run.memory.model, run.state.group.motion
+    if world.tables.moving or not motion.located:
         for i in range(len(model)):
             model[i] = followed.state[i] + followed.room.step[i]
     else:
@@ -536,13 +536,10 @@ def memory_of(world: GroupModel, settings: ScaledSettings) -> ScaledMemory:
     )
 
 
-def step(
-    world: GroupModel, settings: ScaledSettings, state: ScaledState, memory: ScaledMemory, missed: int,
-    positions: Buffer, torques_applied: Buffer,
-) -> GroupHold:  # fmt: skip
+def step(world: GroupModel, run: ScaledRun, missed: int, positions: Buffer, torques_applied: Buffer) -> GroupHold:
     """Book the hold that ended and send the next torques; see `canhaptic.kernels.Kernel`."""
+    settings, state, memory = run
     group, motion, ended, loop = state.group, state.group.motion, memory.group.ended, settings.loop
-    run = Run(settings, state, memory)  # not by `new`: compiled, no function returns a record
     if not group.started:
         begin_group(world, loop.motion, group, memory.group, positions)
         begin_state(world, run)

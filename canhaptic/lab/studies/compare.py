@@ -19,7 +19,7 @@ from canhaptic.control.verdict import passive_verdict
 from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
-from canhaptic.lab.batch.scalar import continuous_reference, render_by, render_group, work_of
+from canhaptic.lab.batch.scalar import continuous_reference, render, work_of
 from canhaptic.lab.figures.figures import OUTCOMES, figures, outcomes
 from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.axis_loop import UnderAlgorithm
@@ -196,7 +196,7 @@ def run_axis(
     """Return the run of the only axis of a scene without a bus; it diverged where it left the reference's reach."""
     reach = axis_loop.EVERYWHERE if reference is None else axis_loop.Reach.around(reference.position)
     case = axis_loop.loop_case(scene.axes[0], scene)
-    return render_by(chosen_engine(engine, work_of(case, cycles) >= WORTH_COMPILING), case, cycles, reach, counter)
+    return render(case, cycles, reach, counter, chosen_engine(engine, work_of(case, cycles) >= WORTH_COMPILING))
 
 
 class _Tried(NamedTuple):
@@ -300,7 +300,7 @@ def _compiled(scene: Scene, names: Sequence[str], cycles: int, progress: Progres
 def _account_of_run(scene: Scene, name: str, cycles: int) -> Row:
     """Return the account of the only port; the plant's own energies say whether it was passive."""
     try:
-        run = render_group("numba", axis_loop.under(scene, name).permitted(), cycles)
+        run = render(axis_loop.under(scene, name).permitted(), cycles, engine="numba")
     except ParameterError as error:
         return {"status": "refused", "remark": str(error), "engine": None}
     account: Row = {**run.summary.as_json(scene.bus.sample_time)}

@@ -33,7 +33,7 @@ from canhaptic.lab.batch import (
     without_numba,
 )
 from canhaptic.lab.batch.cases import why_not_batchable
-from canhaptic.lab.batch.group_loop import group_case
+from canhaptic.lab.batch.network_loop import network_loop
 from canhaptic.lab.loop.axis_loop import cycles_of, parts_of, with_algorithm
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.chunk import (
@@ -210,7 +210,7 @@ def _worth_compiling(alone: Scene) -> float:
     if port.causality is not IMPEDANCE:
         return math.inf
     if port.section:
-        return math.inf if group_case(alone).why_not else WORTH_COMPILING_GROUPS
+        return math.inf if network_loop(alone).why_not else WORTH_COMPILING_GROUPS
     plants = (build_plant(of.simulation, alone.bus.sample_time_ns) for of in port.axes if of.simulation)
     has_events = not alone.unread and any(not plant.is_linear for plant in plants)
     return WORTH_COMPILING_EVENTS if has_events else WORTH_COMPILING

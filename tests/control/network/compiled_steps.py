@@ -7,15 +7,13 @@ from typing import Any
 import numpy as np
 
 from canhaptic.control.multi_axis.group_kernel import GroupHold, GroupModel
-from canhaptic.kernels import Buffer, Kernel
+from canhaptic.kernels import Buffer, Kernel, Run
 from canhaptic.kernels.compiler import compiled
 from canhaptic.kernels.records import Records, record_of, records_of
 from canhaptic.lab.batch.compiled_loops import compiled_world
 
 
-def step(
-    world: GroupModel, settings: Any, state: Any, memory: Any, missed: int, positions: Buffer, torques_applied: Buffer
-) -> GroupHold:
+def step(world: GroupModel, run: Any, missed: int, positions: Buffer, torques_applied: Buffer) -> GroupHold:
     """Placeholder of the kernel of an algorithm."""
     raise NotImplementedError
 
@@ -26,7 +24,7 @@ def step_records(
 ) -> GroupHold:  # fmt: skip
     """Calls the kernel with what lies in records of shape (1,), which cost less to hand over than records."""
     whole = GroupModel(world.mechanism, world.geometry, world.mover, tables[0], world.functions)
-    return step(whole, settings[0], states[0], memories[0], missed, positions, torques_applied)
+    return step(whole, Run(settings[0], states[0], memories[0]), missed, positions, torques_applied)
 
 
 @cache

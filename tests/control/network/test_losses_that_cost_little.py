@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from canhaptic.lab.batch.group_loop import group_case, shares
-from canhaptic.lab.batch.scalar import group_meter
+from canhaptic.lab.batch.network_loop import network_loop, shares
+from canhaptic.lab.batch.scalar import run_network
 from canhaptic.scene.load import load_scene
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
@@ -15,7 +15,7 @@ def rendered(scene, losses, hand_force):
     """Returns share of stiffness and damping rendered in 2 s of a scene, and the least true energy [J]."""
     own = [f"groups.0.passivity.max_consecutive_losses={losses}", f"groups.0.passivity.hand_force={hand_force} N"]
     loaded = load_scene(CONFIGS / f"{scene}.yaml", [*own, "simulation.bus={jitter: 1 us}"])
-    meter = group_meter(group_case(loaded, explains=True), 2000, "python")
+    meter = run_network(network_loop(loaded, explains=True), 2000, "python")
     return *shares(meter), meter.figures.least_interaction
 
 

@@ -121,7 +121,7 @@ def test_every_hold_of_step_scaling_is_that_of_internal_dissipation(delay, alpha
 
     def align(_q):
         storage, axis, commands = one._state.storage, one._state.axis, one._memory.axis.commands
-        world, _settings, state, memory = group._step.args  # type: ignore[attr-defined]
+        world, (_settings, state, memory) = group._step.args  # type: ignore[attr-defined]
         network = memory.group.motion.network
         network.state[0] = storage.state
         settle_network(world, state.group.motion.network, network)

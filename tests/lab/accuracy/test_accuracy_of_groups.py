@@ -17,11 +17,11 @@ from canhaptic.control.multi_axis.group_kernel import (
     world_of,
     write_efforts,
 )
-from canhaptic.lab.batch.group_loop import motors_of
-from canhaptic.lab.batch.scalar import render_group
+from canhaptic.lab.batch.object_loop import motors_of
+from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.judge.reference_group import mechanism_model
 from canhaptic.lab.judge.solvers import located
-from canhaptic.lab.loop.axis_loop import at_rate
+from canhaptic.lab.loop.axis_loop import Reach, at_rate
 from canhaptic.lab.reference import continuous_motion, group_model
 from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, settings_now, variants
 from canhaptic.lab.studies.accuracy.plant_solvers import OURS, plants_of
@@ -153,7 +153,7 @@ def test_the_loop_of_a_box_comes_nearer_with_the_rate() -> None:
 @pytest.mark.slow
 def test_a_group_that_diverges_is_said_so() -> None:
     scene = scene_of("xy_box")
-    run = render_group("python", scene, 400, 1e-3)
+    run = render(scene, 400, Reach(-1e-3, 1e-3))
     assert run.ended == "diverged"
     assert run.position.shape == (len(run.interaction), 2)
 

@@ -7,7 +7,7 @@ import pytest
 
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.lab.batch.closed_loop import CycleState, room_for
-from canhaptic.lab.batch.scalar import record, render_by, work_of
+from canhaptic.lab.batch.scalar import record, render, work_of
 from canhaptic.lab.loop.axis_loop import Reach, Recorder, loop_case
 from canhaptic.lab.studies.accuracy.loop_sensitivity import engines_of, variants
 from canhaptic.lab.studies.compare import compare
@@ -40,9 +40,9 @@ def test_a_row_holds_what_a_recorder_takes(motors):
 
 def test_what_cannot_be_compiled_runs_in_python_and_says_why():
     case = case_of(load_scene("configs/demo.yaml"))
-    moved_from_outside = render_by("numba", replace(case, simulation=None), 20)
+    moved_from_outside = render(replace(case, simulation=None), 20, engine="numba")
     assert moved_from_outside.engine == "python: the plant does not come from a scene"
-    assert moved_from_outside.position.tolist() == render_by("python", case, 20).position.tolist()
+    assert moved_from_outside.position.tolist() == render(case, 20).position.tolist()
 
 
 def test_compiling_pays_for_long_runs_and_for_forces_over_substeps():
@@ -62,7 +62,7 @@ def test_compiled_a_run_is_that_of_python_but_for_rounding(plant):
     pytest.importorskip("numba")
     scene = demo(PLANTS.get(plant, ""), algorithm="unprotected")
     case = case_of(scene)
-    slow, fast = (render_by(engine, case, 1500, Reach(-1.0, 1.0)) for engine in ("python", "numba"))
+    slow, fast = (render(case, 1500, Reach(-1.0, 1.0), engine=engine) for engine in ("python", "numba"))
     assert (slow.engine, fast.engine) == ("python", "numba")
     for name in ("position", "true_position", "torque", "interaction", "believed", "dissipated", "damping"):
         np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-6, atol=1e-9, err_msg=name)
@@ -78,7 +78,7 @@ def test_compiled_a_run_that_diverges_ends_where_that_of_python_does():
     unstable = demo("", "environment.damping=2000", "simulation.plant.mass=0.01", algorithm="unprotected")
     for furthest in (0.05, 1e300):
         slow, fast = (
-            render_by(engine, case_of(unstable), 1500, Reach(-furthest, furthest)) for engine in ("python", "numba")
+            render(case_of(unstable), 1500, Reach(-furthest, furthest), engine=engine) for engine in ("python", "numba")
         )
         assert (fast.ended, len(fast.position)) == (slow.ended, len(slow.position))
         assert slow.ended == "diverged" or furthest > 1.0

@@ -10,8 +10,8 @@ from canhaptic.control.mechanisms.transmission import Transmission
 from canhaptic.control.multi_axis.group_kernel import why_not_world
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch.closed_loop import LinearMotors
-from canhaptic.lab.batch.group_loop import GroupMeter, group_case, shares
-from canhaptic.lab.batch.scalar import group_meter, render_group
+from canhaptic.lab.batch.network_loop import Explained, network_loop, shares
+from canhaptic.lab.batch.scalar import render, run_network
 from canhaptic.lab.studies.chunk import ENGINES
 from canhaptic.lab.studies.compare import compare
 from canhaptic.lab.studies.store import SweepTable
@@ -30,7 +30,7 @@ def scene_of(name: str, *overrides: str) -> Scene:
     return load_scene(REPOSITORY / "configs" / f"{name}.yaml", list(overrides))
 
 
-def values_of(meter: GroupMeter) -> dict[str, float]:
+def values_of(meter: Explained) -> dict[str, float]:
     found = asdict(meter)
     return {**found.pop("figures"), **found}
 
@@ -82,20 +82,20 @@ WITH_EVENTS = {
 @pytest.mark.parametrize("kind", WITH_EVENTS)
 def test_motors_with_events_do_what_the_plants_do(kind: str) -> None:
     scene = scene_of(*WITH_EVENTS[kind])
-    case = group_case(scene, explains=True)
+    case = network_loop(scene, explains=True)
     assert case.why_not == ""
-    by_plants = values_of(group_meter(case.with_objects(scene), 200))
-    in_loop = values_of(group_meter(case, 200))
+    by_plants = values_of(run_network(case.with_objects(scene), 200))
+    in_loop = values_of(run_network(case, 200))
     assert in_loop == pytest.approx(by_plants, rel=1e-6, abs=1e-10)
     name, *effects = WITH_EVENTS[kind]
     if effects and kind != "friction in x":  # the hand moves y
-        without = values_of(group_meter(group_case(scene_of(name)), 200))
+        without = values_of(run_network(network_loop(scene_of(name)), 200))
         assert in_loop["interaction"] != pytest.approx(without["interaction"], rel=1e-3)
     assert in_loop["torque_peak"] > 0.0
 
 
 def test_what_a_group_cannot_compile_is_named() -> None:
-    case = group_case(scene_of("xy_box"))
+    case = network_loop(scene_of("xy_box"))
     assert case.why_not == why_not_world(case.world) == ""
     own = case.world._replace(mechanism=PoseAsked(Transmission(matrix=((1.0, 0.0), (0.0, 1.0)))))
     assert why_not_world(own) == "got PoseAsked, which is Python code of its own"
@@ -105,42 +105,42 @@ def test_what_a_group_cannot_compile_is_named() -> None:
 @pytest.mark.parametrize(("name", "seed"), [("xy_box", 1), ("xy_box", 2), ("two_handles", 2)])
 def test_motors_as_one_flow_do_what_the_plants_do(name: str, seed: int) -> None:
     scene = random_scene(name, seed)
-    case = group_case(scene, explains=True)
+    case = network_loop(scene, explains=True)
     assert not case.why_not
-    by_plants = values_of(group_meter(case.with_objects(scene), 200))
-    by_flow = values_of(group_meter(case, 200))
+    by_plants = values_of(run_network(case.with_objects(scene), 200))
+    by_flow = values_of(run_network(case, 200))
     assert by_flow == pytest.approx(by_plants, rel=1e-9, abs=1e-13)
     assert by_flow["torque_peak"] > 0.0
 
 
 @pytest.mark.slow
 def test_what_is_held_is_explained_by_spring_and_damper() -> None:
-    share, damper = shares(group_meter(group_case(scene_of("xy_box"), explains=True), 1000))
+    share, damper = shares(run_network(network_loop(scene_of("xy_box"), explains=True), 1000))
     assert share == pytest.approx(1.0, abs=0.03)
     assert damper == pytest.approx(1.0, abs=0.05)
     weak = scene_of("xy_box", "groups.0.passivity.moving_mass=1e-3")  # next to nothing is certified
-    assert shares(group_meter(group_case(weak, explains=True), 1000))[0] < 0.5
+    assert shares(run_network(network_loop(weak, explains=True), 1000))[0] < 0.5
 
 
 def test_nothing_felt_has_no_share() -> None:
     away = scene_of("xy_box", "groups.0.network.lower=[-1, -1]", "groups.0.network.upper=[1, 1]")
-    assert np.isnan(shares(group_meter(group_case(away, explains=True), 100))).all()
+    assert np.isnan(shares(run_network(network_loop(away, explains=True), 100))).all()
 
 
 def test_a_plant_that_cannot_be_built_is_refused_and_not_counted_as_diverged() -> None:
     scene, loose = scene_of("two_handles"), ComponentSpec("backlash", Backlash(gap=1e-4))
     axes = tuple(replace(axis, simulation=replace(simulation_of(axis), effects=(loose,))) for axis in scene.axes)
     with pytest.raises(ParameterError, match="shaft_compliance"):
-        group_case(replace(scene, axes=axes))
+        network_loop(replace(scene, axes=axes))
 
 
 @pytest.mark.slow
 def test_a_number_that_is_not_finite_ends_the_loop() -> None:
-    case = group_case(scene_of("xy_box"))
+    case = network_loop(scene_of("xy_box"))
     motors = case.motors.made(True)
     assert isinstance(motors, LinearMotors)
     far = case.motors._replace(made=lambda _listed: motors._replace(state=[float("nan"), *motors.state[1:]]))
-    assert group_meter(case._replace(motors=far), 10).figures.diverged == 1.0
+    assert run_network(case._replace(motors=far), 10).figures.diverged == 1.0
 
 
 @pytest.mark.slow
@@ -149,8 +149,8 @@ def test_a_number_that_is_not_finite_ends_the_loop() -> None:
 def test_compiled_it_has_the_same_bits(name: str) -> None:
     pytest.importorskip("numba")
     for seed in range(30):
-        case = group_case(random_scene(name, seed), explains=True)
-        expected, found = (values_of(group_meter(case, 500, engine)) for engine in ("python", "numba"))
+        case = network_loop(random_scene(name, seed), explains=True)
+        expected, found = (values_of(run_network(case, 500, engine)) for engine in ("python", "numba"))
         assert repr(found) == repr(expected), seed
 
 
@@ -161,8 +161,8 @@ def test_compiled_motors_with_events_have_the_same_bits(kind: str) -> None:
     pytest.importorskip("numba")
     name, *overrides = WITH_EVENTS[kind]
     for stiffness in (300.0, 3000.0):
-        case = group_case(scene_of(name, *overrides, f"groups.0.network.stiffness={stiffness}"), explains=True)
-        expected, found = (values_of(group_meter(case, 500, engine)) for engine in ("python", "numba"))
+        case = network_loop(scene_of(name, *overrides, f"groups.0.network.stiffness={stiffness}"), explains=True)
+        expected, found = (values_of(run_network(case, 500, engine)) for engine in ("python", "numba"))
         assert repr(found) == repr(expected)
 
 
@@ -186,7 +186,7 @@ def test_a_sweep_of_groups_says_what_computed_it(tmp_path) -> None:
 def test_compiled_every_sync_of_a_group_is_that_of_python_but_for_rounding() -> None:
     pytest.importorskip("numba")
     scene = scene_of("five_bar_sphere")
-    slow, fast = (render_group(engine, scene, 500) for engine in ("python", "numba"))
+    slow, fast = (render(scene, 500, engine=engine) for engine in ("python", "numba"))
     assert (slow.engine, fast.engine) == ("python", "numba")
     for name in ("position", "true_position", "torque", "interaction", "believed", "dissipated", "damping"):
         np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-6, atol=1e-9, err_msg=name)

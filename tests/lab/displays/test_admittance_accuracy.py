@@ -8,7 +8,7 @@ import pytest
 
 from canhaptic.cli.main import main
 from canhaptic.errors import InputError
-from canhaptic.lab.batch.scalar import run_display
+from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.render.accuracy_picture import draw_accuracy
 from canhaptic.lab.studies.accuracy.accuracy_table import accuracy_tables
 from canhaptic.lab.studies.accuracy.ideal_loop import IdealStudy, exact_motion, why_no_equations
@@ -23,7 +23,7 @@ NODE = SCENES / "force_node.yaml"
 @pytest.mark.parametrize("name", ["virtual_mass", "wall"])  # without and with the integral of the loop
 def test_the_plant_is_that_of_a_solver_which_shares_nothing_with_it(name: str) -> None:
     scene = load_scene(SCENES / f"{name}.yaml")
-    run, simulation = run_display(scene, 60), simulation_of(scene.axes[0])
+    run, simulation = render(scene, 60), simulation_of(scene.axes[0])
     exact = exact_motion(simulation, run.torque[1:, 0].tolist(), scene.bus.sample_time_ns)
     assert np.abs(run.motion[1:, 0, :1] - exact.position).max() < 1e-12
     assert np.abs(run.interaction[1:] - exact.user).max() < 1e-10

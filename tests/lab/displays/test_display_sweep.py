@@ -11,10 +11,10 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.cycle import run
 from canhaptic.errors import ParameterError
-from canhaptic.lab.batch.scalar import run_display, run_scalar
+from canhaptic.lab.batch.scalar import render, run_scalar
 from canhaptic.lab.figures.figures import DISPLAY_METRICS
-from canhaptic.lab.loop.admittance_loop import AdmittanceRun, felt
-from canhaptic.lab.loop.axis_loop import parts_of
+from canhaptic.lab.loop.admittance_loop import felt
+from canhaptic.lab.loop.axis_loop import LoopRun, parts_of
 from canhaptic.scene.build import build, experiment_account
 from canhaptic.scene.displays import display_properties
 from canhaptic.scene.load import load_scene
@@ -28,7 +28,7 @@ MASS, NODE = SCENES / "virtual_mass.yaml", SCENES / "force_node.yaml"
 def test_the_loop_without_a_bus_agrees_with_the_run_over_can(name: str) -> None:
     scene, cycles = load_scene(SCENES / f"{name}.yaml"), 400
     ((part, alone),) = parts_of(scene).items()
-    found = run_display(alone, cycles)
+    found = render(alone, cycles)
     with build(scene, "free") as experiment:
         run(experiment.cycle, cycles)
         account = experiment_account(experiment, "completed", 1.0)
@@ -41,7 +41,7 @@ def test_the_mass_felt_is_found_exactly_in_a_motion_that_has_it() -> None:
     scene = load_scene(MASS, ["environment.stiffness=50 N/m", "environment.lower_wall=-10 m"])
     t = np.arange(200) * scene.bus.sample_time  # velocity t^2, so that the central difference is exact
     motion = np.stack([t**3 / 3.0, t * t, 3.5 * 2.0 * t + 7.0 * t * t + 50.0 * t**3 / 3.0], axis=1)[:, None]
-    assert felt(AdmittanceRun(np.empty((0, 19)), motion=motion), scene) == pytest.approx((3.5, 7.0))
+    assert felt(LoopRun(np.empty((0, 19)), motion=motion), scene) == pytest.approx((3.5, 7.0))
 
 
 def test_a_light_mass_gives_energy_out_unless_it_is_guarded() -> None:

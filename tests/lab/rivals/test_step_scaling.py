@@ -14,7 +14,6 @@ from canhaptic.control.port_hamiltonian.network import DoubleWell, Network, Quad
 from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.box import Box
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
-from canhaptic.kernels import Run
 from canhaptic.lab.rivals import scaled_group
 from canhaptic.lab.rivals.scaled_group import ScaledGroupParameters, StepBalance, line_memory
 
@@ -50,8 +49,7 @@ def begun(position, environment=WALL, **own):
 
 def touching(position=-X, environment=WALL, **own):
     """Returns world and run of a group of one axis that has begun inside a wall."""
-    world, *run = begun(position, environment, **own)._step.args
-    return world, Run(*run)
+    return begun(position, environment, **own)._step.args
 
 
 def strained(step, environment=WALL, **own):
@@ -164,7 +162,7 @@ def test_a_contact_generates_its_energy_once_and_pays_nothing_back_without_a_lea
 def test_a_start_ends_where_the_hand_no_longer_pushes_inward():
     group = begun(1e-3)
     group.step([-X], [0.0])
-    state = group._step.args[2]
+    state = group._step.args[1].state
     assert state.blind == DELAY
     group.step([-0.5 * X], [0.0])
     assert state.blind == 0
@@ -173,7 +171,8 @@ def test_a_start_ends_where_the_hand_no_longer_pushes_inward():
 def test_a_leak_pays_for_no_surplus_below_zero():
     group = begun(1e-3)
     group.step([-X], [0.0])
-    state, commands = group._step.args[2], group._step.args[3].group.commands
+    _, run = group._step.args
+    state, commands = run.state, run.memory.group.commands
     state.h_dis, commands.modulated[state.group.oldest][0] = 0.0, 2.0  # which takes 22 mJ on the way out
     account = group.step([1e-3], [0.0]).account
     assert account.h_pas == pytest.approx(2.0 * 1.1 * X)

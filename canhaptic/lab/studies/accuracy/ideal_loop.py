@@ -16,7 +16,7 @@ from canhaptic.drive.axis_parameters import CanBusParameters
 from canhaptic.drive.clock import ProcessorClock
 from canhaptic.drive.profile.motion_parameters import MotionParameters
 from canhaptic.errors import CanHapticError
-from canhaptic.lab.batch.scalar import run_display
+from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.figures.figures import figures_of
 from canhaptic.lab.judge.reference_group import DisplayModel
 from canhaptic.lab.judge.solvers import located
@@ -45,8 +45,8 @@ class IdealStudy(PortStudy):
         super().__post_init__()
         self._plants: list[Row] = []
         alone, self._steps = self.alone, _steps(self.scene)
-        self._ideal = run_display(_ideal(alone, self._steps), self.holds * self._steps)
-        self._coarser = run_display(_ideal(alone, self._steps // 2), self.holds * self._steps // 2)
+        self._ideal = render(_ideal(alone, self._steps), self.holds * self._steps)
+        self._coarser = render(_ideal(alone, self._steps // 2), self.holds * self._steps // 2)
 
     def _measure(self) -> None:
         every = list(_variants(self.alone))
@@ -61,7 +61,7 @@ class IdealStudy(PortStudy):
         row, clock = Row(changed=variant.group, to=variant.setting), ProcessorClock()
         begin = clock.now()
         try:
-            run = run_display(variant.scene, self.holds * self._steps // steps)
+            run = render(variant.scene, self.holds * self._steps // steps)
         except CanHapticError as error:
             return row | {"status": f"refused: {str(error).splitlines()[0]}"}
         spent, figures = clock.now() - begin, figures_of(run, variant.scene)
@@ -116,7 +116,7 @@ def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> Row:
     simulation, name = simulation_of(axis), axis.parameters.name
     if reason := why_no_equations(simulation):
         return {"axis": name, "status": f"not compared: no equations for {reason}"}
-    run, place = run_display(scene, holds), scene.axes.index(axis)
+    run, place = render(scene, holds), scene.axes.index(axis)
     exact = exact_motion(simulation, run.torque[1:, place].tolist(), scene.bus.sample_time_ns)
     row: Row = {"axis": name, "status": "ok"}
     row["position_error"] = float(np.abs(run.true_position[1:, [place]] - exact.position).max())

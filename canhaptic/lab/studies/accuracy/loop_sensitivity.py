@@ -19,7 +19,7 @@ from canhaptic.drive.can.pdo_map import choose_map
 from canhaptic.drive.clock import ProcessorClock
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, ChosenEngine, Engine, chosen_engine
-from canhaptic.lab.batch.scalar import render_by, render_group, work_of
+from canhaptic.lab.batch.scalar import render, work_of
 from canhaptic.lab.judge.reference_model import MotionError
 from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.axis_loop import at_rate
@@ -106,9 +106,9 @@ class Variant:
             engine: Engine of the loop.
         """
         if not self.scene.groups:
-            return render_by(engine, self.case, cycles, axis_loop.Reach.around(motion), tick)
+            return render(self.case, cycles, axis_loop.Reach.around(motion), tick, engine)
         furthest = _TRAVELS * float(np.abs(motion).max()) + float(np.ptp(motion, axis=0).max())
-        return render_group(engine, self.scene, cycles, furthest, tick)
+        return render(self.scene, cycles, axis_loop.Reach(-furthest, furthest), tick, engine)
 
     def work(self, cycles: int) -> tuple[str, float]:
         """Return the name of the code to compile, and the cost of the run in cycles of a light plant."""

@@ -20,8 +20,8 @@ import numpy as np
 
 from canhaptic.axis_units import counted
 from canhaptic.errors import InputError, ParameterError
-from canhaptic.lab.batch.group_loop import Motors, motors_of
-from canhaptic.lab.batch.scalar import render_group
+from canhaptic.lab.batch.object_loop import Motors, motors_of
+from canhaptic.lab.batch.scalar import render
 from canhaptic.lab.judge import solvers
 from canhaptic.lab.judge.reference_group import ReferenceMechanism
 from canhaptic.lab.judge.reference_model import Model, MotionError, difference, largest_error
@@ -417,7 +417,7 @@ def plants_of(scene: Scene, holds: int, stop: Stop) -> Plants:
     """
     if not scene.groups:
         return PlantSide(scene.axes[0], scene, holds, stop, most=_MOST_OF_REFERENCE)
-    run = render_group("python", finely_solved(scene), holds + 1)
+    run = render(finely_solved(scene), holds + 1)
     if run.ended:
         raise solvers.NotSolvedError(f"the loop {run.ended} before its end ({run.reason})")
     return (_Mechanism if scene.mechanisms else _OwnPlants)(scene, run.torque[1:], stop)

@@ -46,8 +46,8 @@ from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.batch import ChosenEngine, Engine, chosen_engine
 from canhaptic.lab.batch.cases import why_not_beforehand
-from canhaptic.lab.batch.group_loop import group_case, shares
-from canhaptic.lab.batch.scalar import group_meter, render_group
+from canhaptic.lab.batch.network_loop import network_loop, shares
+from canhaptic.lab.batch.scalar import render, run_network
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row, chunk
 from canhaptic.lab.studies.compare import compare
@@ -512,7 +512,7 @@ class NetworkTrial(Trials):
         self._stroke = _stroke_time(scene)
         self._leaning = self._with_hands_at_rest()
         self._chosen: ChosenEngine = chosen_engine(engine, pays=True)
-        self.is_quick = self._chosen == "numba" and not group_case(scene).why_not
+        self.is_quick = self._chosen == "numba" and not network_loop(scene).why_not
         self.engine = "numba" if self.is_quick else "python"
         self._has_damping = all(axis.loop.device_damping for axis in scene.axes)
 
@@ -568,7 +568,7 @@ class NetworkTrial(Trials):
     def _with_hands_at_rest(self) -> Scene:
         """Return the scene with its hands at rest where the torques were largest during their motion."""
         period = self.scene.bus.sample_time
-        run = render_group("python", self.scene, round(self._stroke / period))
+        run = render(self.scene, round(self._stroke / period))
         time = int(np.abs(run.torque).max(axis=1).argmax()) * period
         axes = tuple(_at_rest(axis, time) for axis in self.scene.axes)
         mechanisms = tuple(_handle_at_rest(of, time) for of in self.scene.mechanisms)
@@ -578,7 +578,7 @@ class NetworkTrial(Trials):
 def _tried(job: tuple[Scene, float, ChosenEngine]) -> _Tried:
     scene, time, engine = job
     try:
-        meter = group_meter(group_case(scene, explains=True), round(time / scene.bus.sample_time), engine)
+        meter = run_network(network_loop(scene, explains=True), round(time / scene.bus.sample_time), engine)
     except CanHapticError:
         return _Tried(np.nan, np.nan, 0.0, 0.0, False, RANKS[Certificate.NONE])
     figures = meter.figures

@@ -1,4 +1,4 @@
-"""The loop of a group without a bus: what `closed_loop.run_loop` takes for several motors under one controller.
+"""The loop of a network on several motors without a bus: what `closed_loop.run_loop` takes, made from a scene.
 
 Linear motors move by one transition matrix; the other kinds replace `move_motors`:
 
@@ -6,22 +6,20 @@ Linear motors move by one transition matrix; the other kinds replace `move_motor
   stage is one plant of several motors. Every mode that a plant can enter is computed before the loop starts. If one
   plant needs booked work or substeps, all use them, because one loop moves them all.
 * `FiveBarMotors`: a five-bar.
-* `Motors`: plants as objects, in Python only.
+* `object_loop.Motors`: plants as objects, in Python only.
 
 Where the shares are asked for, the loop also computes the network's request at the true positions, without sampling
 errors (`explain`). It splits the held torques into the rendered shares of spring and damper.
-
-`group_case` makes the loop from a scene.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf, sqrt
-from typing import Any, Final, NamedTuple, cast
+from math import inf
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from canhaptic.control.balance import RANKS, Branch, EnergyBalance
+from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.mechanisms.kinematics import Kinematics
 from canhaptic.control.multi_axis import GROUP_ALGORITHMS, group_kernel
 from canhaptic.control.multi_axis.group_controller import NetworkEnvironment
@@ -30,10 +28,11 @@ from canhaptic.kernels import Buffer, Kernel, list_of_zeros, new
 from canhaptic.kernels.records import record_of, records_of
 from canhaptic.lab.batch import closed_loop
 from canhaptic.lab.batch import plants as event_plant
-from canhaptic.lab.batch.closed_loop import CycleState, LinearMotors, Loops, LoopSettings, Room, Signals
+from canhaptic.lab.batch.closed_loop import Control, CycleState, LinearMotors, LoopSettings, Room, Signals, step
+from canhaptic.lab.batch.object_loop import OBJECTS, motors_of
 from canhaptic.lab.batch.plants import EventMotors
-from canhaptic.lab.figures.meter import Meter, MeterSettings, count_branch, take_energy
-from canhaptic.lab.loop.axis_loop import EVERYWHERE, mechanism_moved
+from canhaptic.lab.figures.meter import Meter, MeterSettings, take_contact, take_last_part
+from canhaptic.lab.loop.axis_loop import EVERYWHERE, Reach, mechanism_moved
 from canhaptic.registry import load
 from canhaptic.scene.buses import BusParameters
 from canhaptic.scene.far_side import build_mechanism, build_plant
@@ -42,28 +41,16 @@ from canhaptic.scene.models import AxisScene, MechanismScene, Scene
 from canhaptic.scene.parts import check_kinematics, loop_as_known
 from canhaptic.sim.plant import AccuracyParameters
 from canhaptic.sim.plant.assembly import PlantModel
-from canhaptic.sim.plant.mechanism import SharedMechanism
 from canhaptic.sim.plant.mechanism import five_bar_linkage as five_bar
 from canhaptic.sim.plant.mechanism.five_bar_linkage import advance_five_bar, place_at
 from canhaptic.sim.plant.mechanism.xy_stage import XYMotion
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.propagator import TICKS, Array
 
-_FREE, _EXIT = Branch.FREE.value, Branch.EXIT.value
-
-
-class GroupControl(NamedTuple):
-    """The controller of a group."""
-
-    world: GroupModel  # network and kinematics
-    settings: Any  # of the algorithm
-    state: Any  # of the algorithm, at rest
-    memory: Any  # of the algorithm, zeros
-
 
 @dataclass(slots=True)
-class GroupMeter:
-    """Running sums of a group, from which its figures are computed."""
+class Explained:
+    """Running sums of a loop, with those of the shares of spring and damper in its torques."""
 
     figures: Meter = field(default_factory=Meter)
     spring_spring: float = 0.0  # products of the requested efforts, over holds that began and ended in contact
@@ -90,48 +77,18 @@ class TrueNetwork(NamedTuple):
     world: GroupModel
     motion: group_kernel.GroupMotion  # at rest
     memory: TrueMemory
-    sums: GroupMeter
+    sums: Explained
 
 
-def step(*_kernel: Any) -> group_kernel.GroupHold:
-    """Placeholder of an algorithm's step (`Kernel.step`)."""
-    raise NotImplementedError
-
-
-def respond_as_group(control: GroupControl, room: Room, place: CycleState) -> EnergyBalance:
-    """Replace `closed_loop.respond` for the controller of a group."""
-    hold = step(control.world, control.settings, control.state, control.memory, 0, room.seen, room.held)
-    torques = control.memory.group.commands.torques[hold.place]
+def respond_together(control: Control, room: Room, place: CycleState) -> EnergyBalance:
+    """Replace `closed_loop.respond` for a kernel that steps several motors."""
+    hold: group_kernel.GroupHold = step(control.world, control.run, 0, room.seen, room.held)
+    torques = control.run.memory.group.commands.torques[hold.place]
     for i in range(len(room.commands)):
         room.commands[i] = torques[i]
     place.supplied += hold.account.supplied
     account: EnergyBalance = hold.account
     return account
-
-
-def take_group(
-    control: GroupControl, loops: Loops, room: Room, place: CycleState, figures: Meter, account: EnergyBalance
-) -> None:
-    """Replace `closed_loop.take_sync`: add one SYNC to the figures of a group; see `meter.take`."""
-    square = largest = 0.0
-    figures.cycles += 1.0
-    for i in range(len(room.held)):
-        figures.lost += loops[i].meter.damping_per_time * (room.moved[i] * room.moved[i])
-        square += room.held[i] * room.held[i]
-        largest = max(largest, abs(room.held[i]))
-    norm = sqrt(square)
-    take_energy(loops[0].meter, figures, 0.0, place.supplied - place.work, account)
-    figures.torque_peak = max(figures.torque_peak, largest)
-    figures.variation += abs(norm - figures.torque)
-    figures.torque = norm
-    figures.certificate = max(figures.certificate, float(RANKS[account.certificate]))
-    count_branch(figures, account.branch)
-    if account.branch != _FREE and account.branch != _EXIT:  # noqa: PLR1714 - `in` would search
-        rendered = account.damping_rendered
-        figures.contacts += 1.0
-        figures.damping += rendered
-        figures.damping_least = min(figures.damping_least, rendered)
-        figures.damping_most = max(figures.damping_most, rendered)
 
 
 def explain(watched: TrueNetwork, room: Room, figures: Meter, cycle: int) -> None:
@@ -165,7 +122,7 @@ def explain(watched: TrueNetwork, room: Room, figures: Meter, cycle: int) -> Non
         meter.damping_asked += along / square
 
 
-def shares(meter: GroupMeter) -> tuple[float, float]:
+def shares(meter: Explained) -> tuple[float, float]:
     """Return the rendered shares of spring and damper; NaN for a part of which no effort was requested.
 
     The spring's share is a least-squares fit of the held torques to the requested efforts of spring and damper. The
@@ -204,109 +161,15 @@ def five_bar_position_of(motors: FiveBarMotors, i: int) -> float:
     return motors.state[0].left if i == motors.left else motors.state[0].right
 
 
-class Motors:
-    """Motors of one axis or a group, whose plants are objects of `canhaptic.sim.plant`.
-
-    Args:
-        plants: Plant of each motor, before it begins.
-        sample_time_ns: Time between two SYNCs [ns].
-        mechanism: Mechanism that moves all motors, if there is one.
-    """
-
-    def __init__(self, plants: Sequence[Any], sample_time_ns: int, mechanism: Any = None) -> None:
-        self.plants: Sequence[Plant] = plants
-        self.sample_time_ns, self._mechanism = sample_time_ns, mechanism
-        self.has_encoders = mechanism is None
-        self._torques: Sequence[float] = [0.0] * len(plants)
-        for i, plant in enumerate(plants):
-            if mechanism is not None:
-                plant.connect(lambda i=i: self._torques[i])
-            plant.begin(0)
-
-    def positions(self) -> list[float]:
-        """Return the true positions [m or rad]."""
-        return [plant.position for plant in self.plants]
-
-    def velocities(self) -> list[float]:
-        """Return the true velocities [m/s or rad/s]."""
-        return [plant.velocity for plant in self.plants]
-
-    def advance_to(self, now: int, torques: Sequence[float]) -> None:
-        """Move to a time [ns] under constant torques [N or N*m]."""
-        self._torques = torques
-        for i, plant in enumerate(self.plants):
-            plant.advance_to(now, torques[i])
-
-    def works(self) -> tuple[float, float]:
-        """Return the works of all motors and of all hands since the start [J]."""
-        energies = [plant.energy() for plant in self.plants]
-        return sum(energy.motor for energy in energies), sum(energy.user for energy in energies)
-
-    def evaluations(self) -> int:
-        """Return the evaluations of the equations of motion since the start."""
-        if self._mechanism is not None:
-            return int(getattr(self._mechanism, "iterations", 0))
-        return sum(plant.products for plant in self.plants)
-
-
-def move_objects(motors: Motors, room: Room, each: range, cycle: int) -> bool:
-    """Replace `closed_loop.move_motors` for plants as objects, which apply all effects themselves."""
-    motors.advance_to(cycle * motors.sample_time_ns, room.acting)
-    return True
-
-
-def object_position_of(motors: Motors, i: int) -> float:
-    """Replace `closed_loop.position_of` for plants as objects."""
-    return motors.plants[i].position
-
-
-def object_encoder(motors: Motors, i: int, signals: Signals, cycle: int, position: float) -> float:
-    """Replace `closed_loop.encoder` for plants as objects."""
-    return motors.plants[i].encoder_position if motors.has_encoders else position
-
-
-def object_work_of(motors: Motors, work: float) -> float:
-    """Replace `closed_loop.work_of` by the energies that the plants report."""
-    work = 0.0
-    for plant in motors.plants:
-        work += plant.energy().motor
-    return work
-
-
-OBJECTS: Final[Mapping[object, object]] = {
-    closed_loop.move_motors: move_objects, closed_loop.position_of: object_position_of,
-    closed_loop.encoder: object_encoder, closed_loop.work_of: object_work_of,
-}  # fmt: skip
-"""Replacements of functions of the loop for plants as objects."""
-
-
-def motors_of(scene: Scene, axes: Sequence[AxisScene]) -> Motors:
-    """Return the motors of a group as objects: one plant for each, or one mechanism.
-
-    Args:
-        scene: Scene with only this group.
-        axes: Axes of the group.
-
-    Raises:
-        InputError: The motors are not simulated, or their mechanism also moves other axes.
-    """
-    of, time = mechanism_moved(scene), scene.bus.sample_time_ns
-    if of is None:
-        return Motors([build_plant(simulation_of(axis), time) for axis in axes], time)
-    shared = SharedMechanism(build_mechanism(of, time), len(axes))
-    motors = [shared.motors[of.axes.index(axis.parameters.name)] for axis in axes]
-    return Motors(motors, time, shared.mechanism)
-
-
-class GroupPlant(NamedTuple):
-    """The motors of a group in the form that its loop takes."""
+class LoopMotors(NamedTuple):
+    """Motors in the form that a loop takes."""
 
     made: Callable[[bool], Any]  # (True for lists, which Python takes; False for arrays) -> motors at their start
     replaced: Mapping[object, object]  # function of the loop -> its replacement
 
 
-def _plant_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> GroupPlant | str:
-    """Return the motors of a group in the form of its loop, or the reason why there is none; see `motors_of`."""
+def _motors_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> LoopMotors | str:
+    """Return the motors of a port in the form of its loop, or the reason why there is none; see `motors_of`."""
     of, time = mechanism_moved(scene), scene.bus.sample_time_ns
     if of is not None:
         return _of_mechanism(build_mechanism(of, time), [of.axes.index(axis.parameters.name) for axis in axes], of)
@@ -321,7 +184,7 @@ def _plant_in_loop(scene: Scene, axes: Sequence[AxisScene]) -> GroupPlant | str:
     return _with_events(models, accuracy, list(range(len(axes))), forces, [0] * len(axes))
 
 
-def _of_mechanism(moving: Any, order: Sequence[int], of: MechanismScene) -> GroupPlant | str:
+def _of_mechanism(moving: Any, order: Sequence[int], of: MechanismScene) -> LoopMotors | str:
     """Return a mechanism for the loop, or why there is none; `order`: index of each motor in the mechanism."""
     if isinstance(moving, five_bar.FiveBarMotion):
         return _of_five_bar(moving, order.index(0), order.index(1))
@@ -335,7 +198,7 @@ def _of_mechanism(moving: Any, order: Sequence[int], of: MechanismScene) -> Grou
 
 def _with_events(
     models: Sequence[Callable[[], PlantModel]], accuracy: Sequence[AccuracyParameters | None], *places: Sequence[int]
-) -> GroupPlant:
+) -> LoopMotors:
     """Return motors whose plants have events; the further arguments are the last three fields of `EventMotors`."""
     scenes = [model() for model in models]
     is_booked = any(map(event_plant.works_are_booked, scenes))  # more than torque times displacement
@@ -348,18 +211,18 @@ def _with_events(
         whole: Callable[[Sequence[int]], Any] = list if listed else np.array
         return EventMotors(tuple(of.plant() for of in modes), *map(whole, places))
 
-    return GroupPlant(made, event_plant.loop_replacements(scenes))
+    return LoopMotors(made, event_plant.loop_replacements(scenes))
 
 
-def _of_five_bar(motion: five_bar.FiveBarMotion, left: int, right: int) -> GroupPlant:
+def _of_five_bar(motion: five_bar.FiveBarMotion, left: int, right: int) -> LoopMotors:
     def made(listed: bool) -> FiveBarMotors:
         form: Callable[[Any], Any] = list if listed else records_of
         return FiveBarMotors(form([motion.settings]), form([replace(motion.state)]), left, right)
 
-    return GroupPlant(made, {closed_loop.move_motors: move_five_bar, closed_loop.position_of: five_bar_position_of})
+    return LoopMotors(made, {closed_loop.move_motors: move_five_bar, closed_loop.position_of: five_bar_position_of})
 
 
-def _side_by_side(plants: Sequence[Plant]) -> GroupPlant:
+def _side_by_side(plants: Sequence[Plant]) -> LoopMotors:
     """Return separate linear plants, each with the state [position, ..., torque, 1], as one linear plant."""
     flows, starts = [plant.whole_flow() for plant in plants], [plant.scene.initial_state() for plant in plants]
     sizes = [len(start) - 2 for start in starts]
@@ -373,7 +236,7 @@ def _side_by_side(plants: Sequence[Plant]) -> GroupPlant:
     return _listed(whole, state, places)
 
 
-def _stage(stage: XYMotion, order: Sequence[int]) -> GroupPlant:
+def _stage(stage: XYMotion, order: Sequence[int]) -> LoopMotors:
     """Return a linear stage, in whose state the torques are constants.
 
     Args:
@@ -387,20 +250,20 @@ def _stage(stage: XYMotion, order: Sequence[int]) -> GroupPlant:
     return _listed(flow[np.ix_(rest, columns)], start[columns], [rest.index(stage.position_places[at]) for at in order])
 
 
-def _listed(flow: Array, state: Array, places: Sequence[int]) -> GroupPlant:
+def _listed(flow: Array, state: Array, places: Sequence[int]) -> LoopMotors:
     state[-1] = 1.0
     motors = LinearMotors(flow.tolist(), state.tolist(), [0.0] * len(flow), list(places))
-    return GroupPlant(lambda listed: motors._replace(state=list(motors.state)) if listed else record_of(motors)[0], {})
+    return LoopMotors(lambda listed: motors._replace(state=list(motors.state)) if listed else record_of(motors)[0], {})
 
 
-class GroupCase(NamedTuple):
-    """One group as the objects that its loop takes."""
+class NetworkLoop(NamedTuple):
+    """The loop of a network on several motors, as kernels take it."""
 
     kernel: Kernel
     world: GroupModel
     settings: Any
     loops: list[LoopSettings]  # one for each motor
-    motors: GroupPlant
+    motors: LoopMotors
     true: group_kernel.MotionSettings  # with which the network follows the true positions
     explains: bool  # whether the rendered shares of spring and damper are needed
     why_not: str = ""  # reason why its loop cannot be compiled; "" where it can
@@ -408,17 +271,16 @@ class GroupCase(NamedTuple):
     @property
     def replaced(self) -> dict[object, object]:
         """Function of the loop -> its replacement."""
-        explained: dict[object, object] = {closed_loop.watch: explain} if self.explains else {}
-        return {
-            step: self.kernel.step, closed_loop.respond: respond_as_group, closed_loop.take_sync: take_group,
-            closed_loop.miss_sync: closed_loop.nothing, **explained, **self.motors.replaced,
-        }  # fmt: skip
+        unknown = closed_loop.miss_sync, take_contact, take_last_part
+        found: dict[object, object] = dict.fromkeys(unknown, closed_loop.nothing)
+        found |= {step: self.kernel.step, closed_loop.respond: respond_together, **self.motors.replaced}
+        return found | {closed_loop.watch: explain} if self.explains else found
 
-    def with_objects(self, scene: Scene) -> "GroupCase":
-        """Return the same group with its plants as objects, which apply all effects themselves."""
+    def with_objects(self, scene: Scene) -> "NetworkLoop":
+        """Return the same loop with its plants as objects, which apply all effects themselves."""
         axes = scene.ports[0].axes
         motors_of(scene, axes)  # refuses what cannot be built before a run would count it as diverged
-        motors = GroupPlant(lambda _listed: motors_of(scene, axes), OBJECTS)
+        motors = LoopMotors(lambda _listed: motors_of(scene, axes), OBJECTS)
         return self._replace(motors=motors, loops=[replace(loop, signals=Signals()) for loop in self.loops])
 
     def true_memory(self) -> TrueMemory:
@@ -429,41 +291,43 @@ class GroupCase(NamedTuple):
         return TrueMemory(self.true, motion, request, list_of_zeros(motors), list_of_zeros(motors))
 
 
-def group_case(scene: Scene, *, explains: bool = False) -> GroupCase:
-    """Return the group of a scene for its loop.
+def network_loop(scene: Scene, *, explains: bool = False, reach: Reach = EVERYWHERE) -> NetworkLoop:
+    """Return the loop of the only port of a scene, which renders a network.
 
     Args:
-        scene: Scene with only this group.
+        scene: Scene with only this port.
         explains: Whether the rendered shares of spring and damper are needed.
+        reach: Range of positions that do not count as divergence.
 
     Raises:
         InputError: The motors are not simulated, or their mechanism also moves other axes.
-        ParameterError: The group cannot be built.
+        ParameterError: The controller cannot be built.
     """
     [port] = scene.ports
     check_kinematics(port)
-    axes = port.axes
+    axes, by = port.axes, port.passivity
     loops = tuple(loop_as_known(axis) for axis in axes)
     environment, kinematics = (cast(Any, part.parameters) for part in (port.rendered, port.kinematics))
     world = group_kernel.world_of(cast(NetworkEnvironment, environment), cast(Kinematics, kinematics), loops)
-    kernel: Kernel = load(GROUP_ALGORITHMS, port.passivity.name, "group algorithm").kernel
-    settings = kernel.settings(world, port.passivity.parameters, loops)
+    kernel: Kernel = load(GROUP_ALGORITHMS, by.name, "group algorithm").kernel
     bare = tuple(loop.model_copy(update={"encoder_count": 0.0}) for loop in loops)
-    true = group_kernel.motion_settings(world, bare)
-    of_motors = [_loop_of(axis, scene.bus) for axis in axes]
-    found = _plant_in_loop(scene, axes)
+    nothing, found = LoopMotors(lambda _listed: None, {}), _motors_in_loop(scene, axes)
+    loop = NetworkLoop(
+        kernel, world, kernel.settings(world, by.parameters, loops),
+        [loop_of_motor(axis, scene.bus, reach) for axis in axes], nothing,
+        group_kernel.motion_settings(world, bare), explains,
+    )  # fmt: skip
     if isinstance(found, str):
-        nothing = GroupPlant(lambda _listed: None, {})
-        return GroupCase(kernel, world, settings, of_motors, nothing, true, explains, found).with_objects(scene)
-    return GroupCase(kernel, world, settings, of_motors, found, true, explains, group_kernel.why_not_world(world))
+        return loop._replace(why_not=found).with_objects(scene)
+    return loop._replace(motors=found, why_not=group_kernel.why_not_world(world))
 
 
-def _loop_of(axis: AxisScene, bus: BusParameters) -> LoopSettings:
+def loop_of_motor(axis: AxisScene, bus: BusParameters, reach: Reach) -> LoopSettings:
     """Return the loop settings of one motor, with the effects of its plant on torque and encoder."""
     parameters, of = axis.parameters, axis.simulation
     signals = Signals() if of is None else event_plant.signals_of(of.effects, bus.sample_time, of.seed)
     return LoopSettings(
         bus.delay, parameters.counts_per_unit or 0.0, (parameters.rated_torque or 0.0) * 1e-3,
-        parameters.torque_limit or inf, *EVERYWHERE,
+        parameters.torque_limit or inf, *reach,
         MeterSettings(damping_per_time=(axis.loop.device_damping or 0.0) / bus.sample_time), signals,
     )  # fmt: skip
