@@ -1,6 +1,5 @@
 """Shared test settings: hypothesis deterministic, vendor dictionaries found or visibly absent, CPU time shown."""
 
-import copy
 import gc
 import json
 import os
@@ -14,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from can.interfaces import virtual
 from hypothesis import settings
 from hypothesis.internal.conjecture import providers
 
@@ -32,8 +30,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a 
     signal.signal(signal.SIGINT, signal.default_int_handler)
 if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # by nohup, likewise
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
-# A receiver changes no byte of a frame, and a deep copy for each took a tenth of the time of the drive's tests.
-vars(virtual)["deepcopy"] = copy.copy
 os.environ.pop("COLUMNS", None)  # that of the terminal in which the tests run says nothing about tables in pipes
 gc.set_threshold(50_000, 10, 100)  # a test is short: its garbage need not be searched for as often as in a server
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # in each of the hundreds of processes: no thread a core for nothing
