@@ -251,7 +251,6 @@ def test_a_check_of_the_hold_is_of_the_drive_that_was_tried(serial: int, *, is_c
         assert said == ("checked at commissioning" if expected else "not checked")
 
 
-@pytest.mark.slow
 def test_a_motion_that_is_none_of_the_models_is_found_and_said_to_be_unexplained() -> None:
     """Each reversal is followed by a kick that no torque gave."""
     torques = np.concatenate([np.zeros(5), reversals(1.0, 16, 12), np.zeros(6)])
