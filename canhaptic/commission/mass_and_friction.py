@@ -372,6 +372,8 @@ def _solve(matrix: _Array, torque: _Array) -> tuple[list[float], list[float], fl
     return values.tolist(), errors.tolist(), abs(mass) * variance**0.5
 
 
+LEAST_JITTER: Final = 0.01
+"""Jitter of SYNCs that is declared at least [sample times]: a calm run is no proof of a calm machine."""
 SURE: Final = 2.0
 """Standard deviations beyond which a value counts as impossible."""
 _KEPT: Final = 0.9
@@ -379,8 +381,12 @@ _KEPT: Final = 0.9
 
 
 def is_dear(axis: AxisScene, fastest: float, best: Mapping[str, float], ends: Mapping[str, float]) -> bool:
-    """Whether declaring the safe ends of measured intervals, not the best estimates, costs too much wall stiffness."""
-    return share_of_wall(axis, fastest, ends) < _KEPT * share_of_wall(axis, fastest, best)
+    """Whether declaring the safe ends of measured intervals, not the best estimates, costs too much wall stiffness.
+
+    With late torques jitter costs more: both have the one that a rig declares at least.
+    """
+    jitter = {"sync_jitter": axis.loop.sync_jitter or LEAST_JITTER}
+    return share_of_wall(axis, fastest, {**jitter, **ends}) < _KEPT * share_of_wall(axis, fastest, {**jitter, **best})
 
 
 def needed_allowance(
@@ -397,7 +403,7 @@ def needed_allowance(
 
 
 def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -> None:
-    """Propose the energy allowance with which a wall engages at any speed, unless one is declared or proposed.
+    """Propose the energy allowance with which a wall engages at a hand's speed, unless a sufficient one is declared.
 
     Args:
         session: Commissioning session.
@@ -407,15 +413,26 @@ def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -
     scene, key = session.axes[axis], "passivity.energy_allowance"
     hand_force, declared = (getattr(scene.passivity.parameters, name, None) for name in ("hand_force", key[10:]))
     mine = [value for value in session.report.values if value.axis == scene.parameters.name]
-    if hand_force is None or declared is None or declared > 0.0 or key in [each.key for each in mine]:
+    if hand_force is None or declared is None or key in [each.key for each in mine]:
         return
     timing = {each.key[10:]: each.value for each in mine if isinstance(each.value, float)}
-    loop = with_declared(scene, {**known, **{name: timing[name] for name in _TIMES if name in timing}}).loop
-    energy = hints.advised_allowance(loop, hand_force, getattr(scene.passivity.parameters, "max_consecutive_losses", 0))
+    values: dict[str, float] = {"sync_jitter": LEAST_JITTER, **known}
+    trial = with_declared(scene, {**values, **{name: timing[name] for name in _TIMES if name in timing}})
+    losses = getattr(scene.passivity.parameters, "max_consecutive_losses", 0)
+    energy = 0.0 if declared else hints.advised_allowance(trial.loop, hand_force, losses)
+
+    def is_enough(allowance: float) -> bool:
+        return share_of_wall(trial, _SLOW * session.speed(axis), {key[10:]: allowance}) >= _KEPT
+
+    if not is_enough(max(declared, energy)):  # a coarse encoder needs more
+        tried = (2.0 * each for each in ALLOWANCES if 2.0 * each <= hints.LARGEST_ADVISED and is_enough(each))
+        energy = next(tried, energy)
     if energy >= 1e-6:  # 0.2 kg at 3 mm/s; less lets no wall engage sooner that anybody would feel
-        session.propose(axis, key, energy, "J", hints.allowance_words(energy, loop, scene.parameters.unit))
+        session.propose(axis, key, energy, "J", hints.allowance_words(energy, trial.loop, scene.parameters.unit))
 
 
+_SLOW: Final = 0.1
+"""Speed of a hand that feels its way, relative to that of the tests: 5 cm/s, 0.5 rad/s."""
 _TIMES: Final = ("sync_jitter", "torque_window", "current_lag")
 _ITEM: Final = "torque lag"
 _DOUBLETS: Final = (32, 64, 128, 256, 512)

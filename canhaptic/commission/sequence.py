@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from canhaptic.axis_units import effort_unit
 from canhaptic.canopen import objects as od
+from canhaptic.commission.mass_and_friction import LEAST_JITTER
 from canhaptic.commission.session import TRAVELS, OpenLoop, Session, StepVerdict
 from canhaptic.commission.torque_tests import SCALE, identify_dynamics, stiff_grip, verified_axes
 from canhaptic.drive.can.link import Link
@@ -269,7 +270,6 @@ def _judge(session: Session, axis: int, ratio: float) -> None:
     session.propose(axis, "unit", None, comment="the unit of the distance moved by hand")
 
 
-_LEAST_JITTER: Final = 0.01
 _MARGIN: Final = 2.0
 _SILENCES: Final = 3  # of the longest silence that the drives are configured to bear
 
@@ -390,9 +390,9 @@ def _propose_jitter(session: Session, latest: float) -> None:
         latest: Largest lateness of a SYNC [sample times]; 0 where time is virtual.
     """
     for axis, scene in enumerate(session.axes):
-        jitter = max(_LEAST_JITTER, _MARGIN * latest)
+        jitter = max(LEAST_JITTER, _MARGIN * latest)
         if session.experiment.pace == "free":
-            jitter = scene.loop.sync_jitter or _LEAST_JITTER
+            jitter = scene.loop.sync_jitter or LEAST_JITTER
         comment = f"at least 1 %, or {_MARGIN:g} times the largest lateness of a SYNC in this run"
         session.propose(axis, "passivity.sync_jitter", jitter, "1", comment)
 

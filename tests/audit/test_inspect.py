@@ -352,7 +352,7 @@ def test_a_run_without_protection_names_its_algorithm_everywhere(tmp_path: Path,
             result, _ = experiment.run_through(300)
         assert result["ports"]["handle"]["algorithm"] == name
     page = tmp_path / "page.html"
-    assert typed.inspect(tmp_path / "unprotected.h5", tmp_path / "guarded.h5", "--html", page) == 0
+    assert typed.inspect(tmp_path / "unprotected.h5", tmp_path / "guarded.h5", "--full", "--html", page) == 0
     shown = capsys.readouterr().out
     assert shown.count("no guarantee: unprotected has none") == 1
     assert re.search(r"algorithm +unprotected +guarded", shown)
