@@ -52,8 +52,8 @@ def build_loss_meters(scene: Scene) -> list[EnergyLossMeter]:
     """Return a meter for each port that has a limit on the energy it may generate beyond the declared energy.
 
     In a simulation an algorithm without a guarantee has no limit unless one is declared. The uncertainty of a display
-    is that of its force sensor, which has no limit by default.
-    The energy that declared dry friction dissipates is counted by the cycle.
+    is that of its force sensor, which has no limit by default; over a way, an offset of it is more energy than a port
+    may lose, so that a display alone has no meter. The cycle counts what declared dry friction dissipates.
     """
     meters = []
     for port in scene.ports:
