@@ -345,4 +345,4 @@ class RigUnderLongStress(RigUnderStress):
 TestRigUnderStress = RigUnderStress.TestCase
 TestRigUnderStress.settings = _case(60, 40)
 TestRigUnderLongStress = pytest.mark.slow(pytest.mark.timeout(900)(RigUnderLongStress.TestCase))
-TestRigUnderLongStress.settings = _case(1500, 50)
+TestRigUnderLongStress.settings = _case(500, 50)

@@ -79,7 +79,7 @@ def test_a_display_is_swept_under_its_own_algorithms_and_mapped(
     assert main(["sweep", "--map", table, "--png", str(picture), "--json"]) == 0
     assert picture.stat().st_size > 10_000
     assert main(["sweep", str(MASS), *vary[:2], "--controllers", "energy_bounding"]) == 2
-    assert "admittance algorithm" in capsys.readouterr().err
+    assert "unknown algorithm of an admittance display" in capsys.readouterr().err
 
 
 @pytest.mark.slow
