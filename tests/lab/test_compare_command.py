@@ -85,8 +85,8 @@ def test_a_figure_that_says_which_value_is_better_is_a_row_of_the_table_and_need
 
 @pytest.mark.slow
 def test_of_detents_a_comparison_shows_the_share_of_the_run_and_a_force_against_them_is_no_share() -> None:
-    [axis] = compare("rotary_knob", duration=0.5).result["axes"].values()
-    [port] = simulate("rotary_knob", duration=0.5).account.raw["ports"].values()
+    [axis] = compare("rotary_knob", duration=1.0).result["axes"].values()
+    [port] = simulate("rotary_knob", duration=1.0).account.raw["ports"].values()
     shares = {name: of["stiffness_rendered"]["share"] for name, of in axis["algorithms"].items()}
     assert shares["guarded"] == pytest.approx(port["rendered"]["stiffness"], abs=2e-3)
     assert all(0.0 <= share <= 1.01 for share in shares.values())
