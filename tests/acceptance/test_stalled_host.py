@@ -135,6 +135,16 @@ def test_a_long_hold_takes_the_certificates_of_torques(torque: float, certificat
     assert account["certificates"] == certificates
 
 
+@pytest.mark.parametrize(("longest_gap", "certificate"), [(1, "hand_force"), (2, "none")])
+def test_a_certificate_that_covers_lost_frames_covers_no_skipped_sync(longest_gap: int, certificate: str) -> None:
+    ledger = Ledger()
+    ledger.add(AT_REST._replace(torque=1.0, certificate=Certificate.HAND_FORCE.value), 0)
+    account = ledger.summary().as_json(1e-3)
+    account["longest_hold"], account["max_consecutive_losses"] = 2, 1
+    withdraw_certificates(account, longest_gap=longest_gap)
+    assert account["certificates"] == [certificate]
+
+
 @pytest.mark.slow_but("0.2297")
 @pytest.mark.parametrize("begin", [0.2167, 0.2232, 0.2284, 0.2297])
 def test_a_stall_at_the_entry_into_a_wall_is_no_kick(begin: float, tmp_path: Path) -> None:
