@@ -33,7 +33,7 @@ _Draw = Callable[["Axes", Sequence[Row], Row], None]
 """Draws rows of a result into a panel: (panel, rows, result)."""
 _WORK: Final = "evaluations_per_period"
 _PRICES: Final = {
-    "us_per_period": "wall time per period [us], least of interleaved repeats",
+    "us_per_period": "processor time per period [us], least of interleaved repeats",
     _WORK: "evaluations of the equations of motion per period",
 }
 _COLOURS: Final[dict[str, str]] = {

@@ -355,7 +355,7 @@ def accuracy_tables(result: Row, *, wide: bool = False) -> list[Table]:
     """Return every table; `wide` adds the time per simulated second and its spread to the table of the plant."""
     unit, floor = result["unit"], _floor(result)
     plant = [row for row in result["plant"] if "method" in row]
-    rows = [[*_plant_cells(row, unit, floor), *(_wall(row) if wide else ())] for row in plant]
+    rows = [[*_plant_cells(row, unit, floor), *(_time_cells(row) if wide else ())] for row in plant]
     orders = [[of["method"], _plain(of["declared"]), _fixed(of["fitted"], 2)] for of in result.get("orders", ())]
     effects = [_effect_cells(row, unit) for row in effects_of(result)]
     found = [
@@ -379,7 +379,7 @@ def _floor(result: Row) -> float:
     return FLOOR * float(result["reference"]["travel"]) if result["reference"] else 0.0
 
 
-def _wall(row: Row) -> list[str]:
+def _time_cells(row: Row) -> list[str]:
     """Return processor time per simulated second, and its spread."""
     if row.get("cpu_per_second") is None:
         return ["", ""]

@@ -311,13 +311,13 @@ class AccuracyStudy(PortStudy):
         }
 
     def _plant_rows(self, plant: plant_solvers.Plants) -> list[Row]:
-        rows = [{**row, **self._wall(f"{row['method']}, {row['setting']}")} for row in plant.rows]
+        rows = [{**row, **self._price(f"{row['method']}, {row['setting']}")} for row in plant.rows]
         for price, key in (("evaluations", "pareto"), ("us_per_period", "pareto_in_time")):
             for row, mark in zip(rows, pareto(rows, price, plant_solvers.FLOOR * plant.travel), strict=True):
                 row[key] = mark
         return rows
 
-    def _wall(self, name: str) -> Row:
+    def _price(self, name: str) -> Row:
         """Return the time columns of one candidate; None where it was not timed."""
         time, fixed = self._times.get(name), self._times.get(timing.WORKLOAD)
         if time is None:
