@@ -207,7 +207,8 @@ class FlatAutomaton(HybridAutomaton):
     def hold(self, ticks: int, torque: float) -> None:
         """Move by `ticks` under a torque, ignoring guards."""
         self._hand_back()
-        super().hold(ticks, torque)
+        self._torque = torque
+        self.run_free(ticks)
         self._settle()
 
     def works(self) -> list[float]:

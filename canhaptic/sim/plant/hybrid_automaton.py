@@ -258,9 +258,7 @@ class HybridAutomaton:
 
     def hold(self, ticks: int, torque: float) -> None:
         """Move by `ticks` under a torque, ignoring guards."""
-        state = self.state
-        state[-2] = torque
-        self.state = state
+        self.state[-2] = torque
         self.run_free(ticks)
 
     def run_free(self, ticks: int) -> None:
