@@ -61,10 +61,10 @@ test-campaigns: $(VENV)/.installed-dev $(VENV)/.installed-report,export
 	$(MAKE) test-wire
 	$(BIN)/pytest -q -n 0 -m slow tests/view tests/cli/test_pages.py tests/lab/touch
 	$(BIN)/python -m tools.numba_minors
-	$(BIN)/python tools/bench/truth.py
-	$(BIN)/python tools/bench/truth.py --faults
-	$(BIN)/python tools/bench/truth.py --stops
-	$(BIN)/python tools/bench/truth.py --false --runs 2000
+	$(BIN)/python -m tools.bench.truth
+	$(BIN)/python -m tools.bench.truth --faults
+	$(BIN)/python -m tools.bench.truth --stops
+	$(BIN)/python -m tools.bench.truth --false --runs 2000
 
 # Linux's own CAN stack in a virtual machine; the packages it needs are named in tests/socketcan_vm/README.md.
 test-socketcan: $(VENV)/.installed-dev

@@ -1,6 +1,7 @@
 """What a release needs: metadata that agree, and files that their own schemas accept."""
 
 import argparse
+import importlib.util
 import re
 import shlex
 import subprocess
@@ -105,3 +106,16 @@ def test_the_hooks_are_valid() -> None:
     command = [sys.executable, "-m", "pre_commit", "validate-config", ".pre-commit-config.yaml"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_tool_that_make_starts_is_found_where_it_is_started() -> None:
+    """A file that imports others of `tools` starts as a module; a file that is started itself mends its own path."""
+    recipes = Path("Makefile").read_text()
+    modules = re.findall(r"\$\(BIN\)/python -m (tools[.\w]+)", recipes)
+    files = re.findall(r"\$\(BIN\)/python (tools/[\w/]+\.py)", recipes)
+    assert len(modules) >= 6
+    for name in modules:
+        assert importlib.util.find_spec(name) is not None, name
+    for name in files:
+        text = Path(name).read_text()
+        assert "from tools" not in text or "sys.path.insert" in text, name
