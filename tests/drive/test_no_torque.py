@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canhaptic.drive.safety.limiter import DryRunLimiter, TorqueLimiter
+from canhaptic.drive.safety.power_states import PowerState, drive_state, is_enabled
 from canhaptic.errors import ControlError
 from tests.drive.drive_bench import MakeBench, axis, started
 
@@ -27,6 +28,12 @@ def test_nothing_passes_and_the_largest_that_would_have_passed_is_kept(asked: li
 def test_a_torque_that_is_no_number_ends_a_dry_run_as_it_ends_a_run() -> None:
     with pytest.raises(ControlError, match="expected a finite number"):
         DryRunLimiter(*LIMITS).limit(math.nan, 0.0)
+
+
+def test_operation_enabled_is_one_state_of_all_statuswords() -> None:
+    words = [high | low for high in (0x0000, 0x1600) for low in range(256)]
+    assert [is_enabled(word) for word in words] == [drive_state(word) is PowerState.OPERATION_ENABLED for word in words]
+    assert sum(map(is_enabled, words)) == 2 * 4  # bits 4 and 7 are free
 
 
 @pytest.mark.parametrize("values", [{}, {"rpdo": "event"}])

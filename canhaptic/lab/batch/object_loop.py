@@ -57,7 +57,7 @@ class Motors:
         return [plant.velocity for plant in self.plants]
 
     def shown(self, positions: Sequence[float], torques: Sequence[float]) -> Sequence[float]:
-        """Return the torques that the drives show beside measured positions: those held in the hold that ended."""
+        """Return the torques that the drives show with measured positions: those held in the hold that ended."""
         return torques
 
     def advance_to(self, now: int, torques: Sequence[float]) -> None:

@@ -32,7 +32,7 @@ class FlatShape(NamedTuple):
     """Where the numbers of a plant are not zero; the last two components of its state are the torque and the one."""
 
     flow: Entries  # of the states, without torque and one
-    shift: tuple[int, ...]  # states in the deflection of the hand, which stands in place of the position in `works`
+    shift: tuple[int, ...]  # states in the deflection of the hand, which replaces the position in `works`
     works: tuple[Entries, ...]  # upper triangle of the form of each work
     storage: Entries  # upper triangle of the stored energy, a form of the states
     accounts: tuple[tuple[int, ...], ...]  # works of the motor, of the user, and dissipated
@@ -93,28 +93,17 @@ def _maker(shape: FlatShape) -> Callable[..., FlatHold]:
     return maker
 
 
-def _source(shape: FlatShape) -> str:
-    """Return the text of `make`; its arguments are the entries of flow, shift, works and storage, row by row."""
-    states = [f"z{i}" for i in range(len(shape.flow))]
-    z, kinds = ", ".join(states), range(len(shape.works))
-    flow = [_sum(f"f{i}", [*states, "u", ""], row) for i, row in enumerate(shape.flow)]
-    works = [_form(f"w{k}_", ["y", *states[1:], "u", ""], entries) for k, entries in enumerate(shape.works)]
-    deflection = "z0 + " + _sum("s", [*states, "u", ""], shape.shift)
-    numbers = [*_numbers("f", shape.flow), *(f"s_{j}" for j in shape.shift)]
-    numbers += [name for k in kinds for name in _numbers(f"w{k}_", shape.works[k])]
-    t, since = ", ".join(f"t{k}" for k in kinds), ", ".join(f"{name}{k}" for name in "tbc" for k in kinds)
-    accounts = [" + ".join(f"(b{k} + (c{k} + t{k}))" for k in of) or "0.0" for of in shape.accounts]
-    return f"""
-def make({", ".join([*numbers, *_numbers("p", shape.storage)])}):
-    {" = ".join(states)} = 0.0
-    {" = ".join(since.split(", "))} = 0.0
+_MAKE: Final = """
+def make({arguments}):
+    {all_z} = 0.0
+    {all_since} = 0.0
     noted = []
     note = noted.extend
 
     def period(u):
         nonlocal {z}
         note(({z}, u))
-        {z} = {", ".join(flow)}
+        {z} = {flow}
         return z0
 
     def states():
@@ -126,12 +115,12 @@ def make({", ".join([*numbers, *_numbers("p", shape.storage)])}):
 
     def works({z}, u):
         y = {deflection}
-        return {", ".join(works)},
+        return {works},
 
     def book({z}, u):
         nonlocal {t}
         y = {deflection}
-        {"; ".join(f"t{k} += {work}" for k, work in enumerate(works))}
+        {booked}
 
     def totals():
         return [{t}]
@@ -141,13 +130,33 @@ def make({", ".join([*numbers, *_numbers("p", shape.storage)])}):
         {since} = values
 
     def accounts():
-        return [{", ".join(accounts)}]
+        return [{accounts}]
 
     def stored():
-        return {_form("p", [*states, "0.0", ""], shape.storage)}
+        return {stored}
 
-    return FlatHold(noted, {len(states) + 1}, period, states, load, works, book, totals, settle, accounts, stored)
+    return FlatHold(noted, {width}, period, states, load, works, book, totals, settle, accounts, stored)
 """
+"""Text of the function that makes the functions of a plant."""
+
+
+def _source(shape: FlatShape) -> str:
+    """Return the text of `make`; its arguments are the entries of flow, shift, works and storage, row by row."""
+    states = [f"z{i}" for i in range(len(shape.flow))]
+    z, kinds = ", ".join(states), range(len(shape.works))
+    flow = [_sum(f"f{i}", [*states, "u", ""], row) for i, row in enumerate(shape.flow)]
+    works = [_form(f"w{k}_", ["y", *states[1:], "u", ""], entries) for k, entries in enumerate(shape.works)]
+    deflection = "z0 + " + _sum("s", [*states, "u", ""], shape.shift)
+    numbers = [*_numbers("f", shape.flow), *(f"s_{j}" for j in shape.shift)]
+    numbers += [name for k in kinds for name in _numbers(f"w{k}_", shape.works[k])]
+    t, since = ", ".join(f"t{k}" for k in kinds), ", ".join(f"{name}{k}" for name in "tbc" for k in kinds)
+    accounts = [" + ".join(f"(b{k} + (c{k} + t{k}))" for k in of) or "0.0" for of in shape.accounts]
+    return _MAKE.format(
+        arguments=", ".join([*numbers, *_numbers("p", shape.storage)]), z=z, all_z=" = ".join(states),
+        t=t, since=since, all_since=" = ".join(since.split(", ")), flow=", ".join(flow), deflection=deflection,
+        works=", ".join(works), booked="; ".join(f"t{k} += {work}" for k, work in enumerate(works)),
+        accounts=", ".join(accounts), stored=_form("p", [*states, "0.0", ""], shape.storage), width=len(states) + 1,
+    )  # fmt: skip
 
 
 def _numbers(name: str, entries: Entries) -> list[str]:

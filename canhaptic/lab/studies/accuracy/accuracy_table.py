@@ -418,7 +418,7 @@ class _Column(NamedTuple):
     head: str
     key: str
     text: Callable[[Any, str], str]  # (value, unit of the motion) -> text
-    is_drawn: bool = False  # whether the picture writes it beside the errors
+    is_drawn: bool = False  # whether the picture writes it next to the errors
 
 
 def _joule(value: float, _unit: str) -> str:
@@ -485,7 +485,7 @@ def _loop_cell(row: Row, column: _Column, unit: str) -> str:
 
 
 def beside_errors(rows: Sequence[Row], unit: str) -> tuple[str, list[str]]:
-    """Return what a picture writes beside the errors of the loop: its heading, and the text of each row."""
+    """Return what a picture writes next to the errors of the loop: its heading, and the text of each row."""
     drawn = [column for column in _columns(rows) if column.is_drawn]
     texts = [[_loop_cell(row, column, unit) for column in drawn] for row in rows]
     return ", ".join(column.head.replace("\n", " ") for column in drawn), [", ".join(filter(None, of)) for of in texts]

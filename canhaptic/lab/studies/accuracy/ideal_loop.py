@@ -1,4 +1,4 @@
-"""The loop of an admittance display, or of a group of them, with one thing changed at a time, beside an ideal display.
+"""The loop of an admittance display, or of a group of them, one thing changed at a time, against an ideal display.
 
 The ideal display renders the same environment without protection at a 32nd of the sample time (20 kHz at most). Its
 drive is a thousand times as stiff, its encoder a thousand times as fine, and its sensor shows the mean of each hold

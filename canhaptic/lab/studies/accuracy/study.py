@@ -84,7 +84,7 @@ def study_accuracy(
 
 @dataclass
 class AccuracyStudy(PortStudy):
-    """Study of an axis or a group: its plant, its loop beside the continuous one, and the times of both.
+    """Study of an axis or a group: its plant, its loop against the continuous one, and the times of both.
 
     Args:
         scene: See `PortStudy`.

@@ -378,7 +378,7 @@ class Trial(Trials):
         return max(mass / self.scene.bus.sample_time, math.sqrt(stiffness * mass))
 
     def account(self, verdict: TrialVerdict, stiffness: float, damping: float) -> Row:
-        """Return the figures of a wall: its verdict, and a run with the leaning hand beside the continuous wall."""
+        """Return the figures of a wall: its verdict, and that of a run with the leaning hand."""
         scene, values = self.scene, {STIFFNESS: stiffness, DAMPING: damping}
         places = chunk.places_of(scene, tuple(values))
         overrides = [f"{place}={value!r}" for key, value in values.items() for place in places[key]]
