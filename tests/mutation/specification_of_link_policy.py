@@ -157,3 +157,10 @@ def _budget(module: ModuleType) -> None:
         policy.on_missed()
         spent.append(policy.lose())
     assert spent == [False] * 40 + [True]
+    policy, since = module.LinkPolicy(2, 40, 0.5, 40.0), []
+    for lost in (False, False, True, False, True):
+        policy.on_tpdo()
+        if lost:
+            policy.lose()
+        since.append(policy.lost_since)
+    assert since == [1, 2, 0, 1, 0]
