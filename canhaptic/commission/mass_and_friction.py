@@ -10,7 +10,7 @@ The safe end of each measured interval is declared. It makes the wall softer, wh
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Final, NamedTuple
 
@@ -398,8 +398,11 @@ def needed_allowance(
     """
     if not hasattr(axis.passivity.parameters, "energy_allowance"):
         return None
-    tried = (2.0 * each for each in ALLOWANCES if not is_dear(axis, fastest, best, {**ends, "energy_allowance": each}))
-    return next(tried, None)
+    return _twice_the_least(lambda each: not is_dear(axis, fastest, best, {**ends, "energy_allowance": each}))
+
+
+def _twice_the_least(is_enough: Callable[[float], bool]) -> float | None:
+    return next((2.0 * each for each in ALLOWANCES if is_enough(each)), None)
 
 
 def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -> None:
@@ -425,14 +428,14 @@ def propose_allowance(session: Session, axis: int, known: Mapping[str, float]) -
         return share_of_wall(trial, _SLOW * session.speed(axis), {key[10:]: allowance}) >= _KEPT
 
     if not is_enough(max(declared, energy)):  # a coarse encoder needs more
-        tried = (2.0 * each for each in ALLOWANCES if 2.0 * each <= hints.LARGEST_ADVISED and is_enough(each))
-        energy = next(tried, energy)
+        needed = _twice_the_least(is_enough)
+        energy = needed if needed is not None and needed <= hints.LARGEST_ADVISED else energy
     if energy >= 1e-6:  # 0.2 kg at 3 mm/s; less lets no wall engage sooner that anybody would feel
         session.propose(axis, key, energy, "J", hints.allowance_words(energy, trial.loop, scene.parameters.unit))
 
 
 _SLOW: Final = 0.1
-"""Speed of a hand that feels its way, relative to that of the tests: 5 cm/s, 0.5 rad/s."""
+"""Speed of a slow hand, as a part of the largest speed of the tests: 5 cm/s or 0.5 rad/s."""
 _TIMES: Final = ("sync_jitter", "torque_window", "current_lag")
 _ITEM: Final = "torque lag"
 _DOUBLETS: Final = (32, 64, 128, 256, 512)
