@@ -48,7 +48,7 @@ test: $(VENV)/.installed-dev
 
 # Tests that need Debian's `chromium` or `tshark` skip, visibly, where those are absent; so does the machine of
 # test-socketcan, which is built in one folder and so not by two workers at once.
-SLOW := $(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "slow or hypothesis" --hypothesis-profile=thorough
+SLOW := $(BIN)/pytest -q -n $(JOBS) --dist worksteal -m "(slow or hypothesis) and not campaign" --hypothesis-profile=thorough
 
 test-all: test $(VENV)/.installed-report,export,docs,release
 	$(BIN)/python tools/record.py --check
@@ -59,7 +59,7 @@ test-all: test $(VENV)/.installed-report,export,docs,release
 test-campaigns: $(VENV)/.installed-dev $(VENV)/.installed-report,export
 	$(MAKE) test-socketcan
 	$(MAKE) test-wire
-	$(BIN)/pytest -q -n 0 -m slow tests/view tests/cli/test_pages.py tests/lab/touch
+	$(BIN)/pytest -q -n 0 -m campaign
 	$(BIN)/python -m tools.numba_minors
 	$(BIN)/python -m tools.bench.truth
 	$(BIN)/python -m tools.bench.truth --faults

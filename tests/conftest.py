@@ -67,7 +67,7 @@ def fresh_writer(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_pycollect_makeitem(collector: pytest.Module | pytest.Class, obj: object) -> list[pytest.Item] | None:
     """Makes no items of a slow function for `-m "not slow"`: two workers made 4000 each, to leave them out."""
-    is_slow = any(mark.name == "slow" for mark in getattr(obj, "pytestmark", ()))
+    is_slow = any(mark.name in ("slow", "campaign") for mark in getattr(obj, "pytestmark", ()))
     return [] if is_slow and collector.config.option.markexpr == "not slow" else None
 
 
@@ -75,29 +75,43 @@ def pytest_pycollect_makeitem(collector: pytest.Module | pytest.Class, obj: obje
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Marks single cells of a parametrized test as slow: those of `slow_for`, or all but those of `slow_but`.
 
-    As above, `-m "not slow"` makes no items of them.
+    As above, `-m "not slow"` makes no items of them. `campaign_for` and `campaign_but` mark cells for campaigns.
 
     Raises:
         pytest.UsageError: A pattern matches no cell, so that it says nothing.
     """
-    marks = [mark for mark in metafunc.definition.iter_markers() if mark.name in ("slow_for", "slow_but")]
+    marks = [mark for mark in metafunc.definition.iter_markers() if mark.name in _OF_CELLS]
     cells = [call.id for call in metafunc._calls]
-    for pattern in chain.from_iterable(mark.args for mark in marks):
-        if not any(fnmatchcase(cell, pattern) for cell in cells):
-            name = metafunc.definition.nodeid
-            raise pytest.UsageError(f"{name}: got {pattern!r} in slow_for or slow_but, expected a pattern of its cells")
-    slow = {cell for cell in cells for mark in marks if _is_slow(cell, mark)}
+    for mark in marks:
+        for pattern in mark.args:
+            if not any(fnmatchcase(cell, pattern) for cell in cells):
+                name = metafunc.definition.nodeid
+                raise pytest.UsageError(f"{name}: got {pattern!r} in {mark.name}, expected a pattern of its cells")
     metafunc._calls = [
-        replace(call, marks=[*call.marks, pytest.mark.slow.mark]) if call.id in slow else call
+        replace(call, marks=[*call.marks, *(_OF_CELLS[mark.name] for mark in marks if _is_of(call.id, mark))])
         for call in metafunc._calls
     ]
     if metafunc.config.option.markexpr == "not slow":
-        fast = [call for call in metafunc._calls if not any(mark.name == "slow" for mark in call.marks)]
+        fast = [call for call in metafunc._calls if not any(mark.name in ("slow", "campaign") for mark in call.marks)]
         metafunc._calls = fast or metafunc._calls[:1]  # of no cell at all pytest would make a test without parameters
 
 
-def _is_slow(cell: str, mark: pytest.Mark) -> bool:
-    return any(fnmatchcase(cell, pattern) for pattern in mark.args) == (mark.name == "slow_for")
+_OF_CELLS = {
+    f"{tier}_{which}": getattr(pytest.mark, tier).mark for tier in ("slow", "campaign") for which in ("for", "but")
+}
+"""Marker with patterns of cells -> the mark that these cells get."""
+
+
+def _is_of(cell: str, mark: pytest.Mark) -> bool:
+    return any(fnmatchcase(cell, pattern) for pattern in mark.args) == mark.name.endswith("_for")
+
+
+@pytest.hookimpl(tryfirst=True)  # before `-m` chooses
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A test of a campaign is a slow one."""
+    for item in items:
+        if item.get_closest_marker("campaign"):
+            item.add_marker("slow")
 
 
 _SLOWEST = 10

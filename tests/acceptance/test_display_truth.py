@@ -70,7 +70,9 @@ def test_no_account_of_an_arm_of_two_displays_claims_what_their_plants_deny() ->
 
 @pytest.mark.slow_but("five-bar-3")
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("seeds", [3, pytest.param(80, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "seeds", [3, pytest.param(20, marks=pytest.mark.slow), pytest.param(80, marks=pytest.mark.campaign)]
+)
 @pytest.mark.parametrize("kind", ["three axes", "five-bar"])
 def test_no_account_of_three_axes_or_a_five_bar_claims_what_their_plants_deny(kind: str, seeds: int) -> None:
     moved = 0
@@ -129,7 +131,7 @@ def test_no_account_of_a_spring_or_of_balls_on_several_displays_claims_what_thei
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seeds", [1, pytest.param(200, marks=[pytest.mark.slow, pytest.mark.timeout(300)])])
+@pytest.mark.parametrize("seeds", [20, pytest.param(200, marks=[pytest.mark.campaign, pytest.mark.timeout(900)])])
 def test_the_mass_over_a_run_is_the_one_promised(seeds: int) -> None:
     found = [one for one in map(judged, range(seeds)) if one is not None]
     assert len(found) == seeds

@@ -155,7 +155,9 @@ def _outcomes(scenes: int) -> list[Outcome]:
 
 class TestNoFalseClaim:
     @pytest.mark.timeout(400)  # 12 s of an idle processor for all
-    @pytest.mark.parametrize("scenes", [QUICK, pytest.param(SCENES, marks=pytest.mark.slow)])
+    @pytest.mark.parametrize(
+        "scenes", [QUICK, pytest.param(50, marks=pytest.mark.slow), pytest.param(SCENES, marks=pytest.mark.campaign)]
+    )
     def test_only_where_it_is_known(self, scenes):
         outcomes = _outcomes(scenes)
         wrong = [outcome for outcome in outcomes if is_false(outcome)]
@@ -180,7 +182,9 @@ def _changing(kind: str, count: int) -> list[TruthScene]:
 
 @pytest.mark.slow_but("changes:wall-1")
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("times", [1, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "times", [1, pytest.param(5, marks=pytest.mark.slow), pytest.param(20, marks=pytest.mark.campaign)]
+)
 @pytest.mark.parametrize("kind", CHANGES)
 def test_what_changes_in_a_run_leaves_no_false_claim(kind: str, times: int) -> None:
     outcomes = [judged(scene)[1] for scene in _changing(kind, times * CHANGES[kind])]
@@ -227,7 +231,7 @@ def test_scenes_name_every_effect_environment_limit_algorithm_and_declaration():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scenes", [3, pytest.param(150, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("scenes", [40, pytest.param(150, marks=pytest.mark.campaign)])
 def test_an_account_of_a_sum_claims_nothing_that_the_plant_denies(scenes: int) -> None:
     outcomes = [outcome_of_sum(seed) for seed in range(scenes)]
     assert {o.seed: o.false_claims for o in outcomes if is_false(o)} == {}

@@ -109,7 +109,7 @@ USES: tuple[Callable[[Path, Path], object], ...] = (
 )
 
 
-EVERY_THIRTEENTH_OR_ALL = [13, pytest.param(1, marks=pytest.mark.slow)]  # all of them take 15 s of a processor
+EVERY_THIRTEENTH_OR_ALL = [13, pytest.param(1, marks=pytest.mark.campaign)]  # all of them take 15 s of a processor
 
 
 @pytest.mark.slow

@@ -131,7 +131,7 @@ def test_no_forged_request_reaches_a_page_and_no_answer_is_for_other_origins(tmp
 STATUS = "[...Bokeh.documents[0]._all_models.values()].find(m => m.name == 'status').text"
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_hand_stays_with_its_visitor_until_another_comes_with_the_address() -> None:
     with chromium(width=1200, height=760) as visitor, served("touch", str(STIFF)) as page:
         visitor.open(f"http://127.0.0.1:{page.port}{page.path}")
@@ -175,7 +175,7 @@ def test_the_command_line_of_the_browser_does_not_tell_the_secret(
         assert not file.parent.exists()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.timeout(600)
 def test_visitors_who_never_come_leave_nothing_behind(tmp_path: Path) -> None:
     with served("scope", str(tmp_path / "run.h5")) as page:

@@ -66,7 +66,8 @@ def tried(number: int, *, with_hand: bool) -> list[StepVerdict]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_of_random_twins_no_sign_is_wrong_and_at_least_four_of_five_are_found() -> None:
-    verdicts = tried(50, with_hand=False)
-    assert verdicts.count(StepVerdict.UNKNOWN) <= 10
-    tried(10, with_hand=True)  # a hand on the handle may leave the sign open
+@pytest.mark.parametrize("number", [5, pytest.param(50, marks=pytest.mark.campaign)])
+def test_of_random_twins_no_sign_is_wrong_and_at_least_four_of_five_are_found(number: int) -> None:
+    verdicts = tried(number, with_hand=False)
+    assert verdicts.count(StepVerdict.UNKNOWN) <= number // 5
+    tried(number // 5, with_hand=True)  # a hand on the handle may leave the sign open

@@ -88,10 +88,11 @@ def test_encoder_torque_quantum_and_lost_frames_do_not_make_it_active(share, del
 @pytest.mark.parametrize(("count", "quantum"), [(0.0, 0.0), (2e-5, 0.02)])
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("cycles", [600, pytest.param(4000, marks=pytest.mark.campaign)])
 @pytest.mark.timeout(1200)
-def test_the_whole_sweep_stays_passive(rate, delay, count, quantum, share):
+def test_the_whole_sweep_stays_passive(rate, delay, count, quantum, share, cycles):
     for seed, (wall, user) in enumerate(itertools.product(WALLS, USERS)):
-        truth = trial(wall, rate, delay, user, seed, cycles=4000, count=count, quantum=quantum, share=share)
+        truth = trial(wall, rate, delay, user, seed, cycles=cycles, count=count, quantum=quantum, share=share)
         assert truth.least >= -1e-6, (wall, user)
 
 

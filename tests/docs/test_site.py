@@ -29,7 +29,7 @@ def _build(folder: Path) -> str:
     return built.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_search_works_from_a_folder_and_finds_a_key_and_a_tutorial_first(tmp_path: Path) -> None:
     """Without a server, where a browser starts no worker; and finds a key inside its path."""
     _build(tmp_path)

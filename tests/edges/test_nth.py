@@ -190,6 +190,7 @@ def test_a_start_that_fails_after_its_last_step_disables_the_drives(name: str) -
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of generators that end without memory
 @pytest.mark.timeout(1200)  # half a minute of a processor, longer on a busy machine
+@pytest.mark.campaign_for("call without memory-*")  # two hundred places
 @pytest.mark.parametrize(("fault", "how"), CELLS)
 def test_wherever_it_fails_zero_comes_first_and_nothing_is_lost(fault: str, how: str) -> None:
     syncs: set[int | None] = set()

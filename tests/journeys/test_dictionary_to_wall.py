@@ -23,6 +23,7 @@ def test_a_dictionary_leads_to_a_wall_that_is_felt(name: str, person: Person, re
 
 
 @pytest.mark.slow
+@pytest.mark.campaign_for("*-16384")
 @pytest.mark.parametrize("turn", [2_000, 4_096, 16_384])
 @pytest.mark.parametrize("name", [*OURS, *FIT])
 def test_a_coarse_encoder_leads_to_a_wall_that_is_felt(

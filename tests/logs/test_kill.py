@@ -59,7 +59,10 @@ def assert_rows_are_right(path: Path, at_least: int) -> None:
         assert np.array_equal(log.ports["handle"]["h_i"], [balance(k).h_i for k in range(log.rows)])
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, *range(2, 20)))])
+@pytest.mark.parametrize(
+    "seed",
+    [1, pytest.param(0, marks=pytest.mark.slow), *(pytest.param(n, marks=pytest.mark.campaign) for n in range(2, 20))],
+)
 def test_killing_the_controller_at_any_moment_loses_no_row(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "run.h5"
     program = CONTROLLER.format(folder=str(Path(__file__).parents[2]), path=str(path))
@@ -80,7 +83,7 @@ def test_killing_the_controller_at_any_moment_loses_no_row(tmp_path: Path, seed:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 20))])
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(n, marks=pytest.mark.campaign) for n in range(4, 20))])
 def test_killing_the_writer_loses_no_row_because_another_takes_over(tmp_path: Path, seed: int) -> None:
     path = tmp_path / "run.h5"
     generator = random.Random(seed)
@@ -182,7 +185,7 @@ sys.path.insert(0, {folder!r})
 from canhaptic.cli.main import main
 sys.exit(main(["run", "demo", "--duration", "2000", "--pace", "free", "--log", {path!r}, "--bus-log", {bus!r}]))
 """
-LOSSES = [pytest.param(number, marks=pytest.mark.slow if number != 1 else ()) for number in range(50)]
+LOSSES = [pytest.param(number, marks=pytest.mark.campaign if number > 11 else ()) for number in range(50)]
 
 
 @pytest.mark.slow

@@ -89,7 +89,7 @@ def inspect_apart(*words: str | Path) -> float:
     return float(done.stderr.splitlines()[-1])  # a page that is written is named before
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_an_hour_is_inspected_in_little_memory_and_opens_in_a_browser(tmp_path: Path) -> None:
     log, page_file = tmp_path / "hour.h5", tmp_path / "hour.html"
     write_hour(log)
@@ -115,7 +115,7 @@ def test_worst_margin_and_faults_are_drawn_once_more_larger(tmp_path: Path) -> N
     assert titles[3:] == ["damping, timing, losses"]
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_click_on_a_heading_sorts_values_with_their_prefixes_and_puts_blanks_last(tmp_path: Path) -> None:
     cells = [["b", "12 mm"], ["a", "3 m"], ["d", ""], ["c", "900 um"], ["e", "-"]]
     write_page(tmp_path / "page.html", "a page", [Table("", ("name", "size"), cells, keys=1)])
@@ -132,7 +132,7 @@ def test_a_click_on_a_heading_sorts_values_with_their_prefixes_and_puts_blanks_l
         assert page.faults == []
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_pictures_follow_the_colours_of_the_page_by_day_and_by_night(tmp_path: Path) -> None:
     write_run(tmp_path / "run.h5", cycles=200)
     assert typed.inspect(tmp_path / "run.h5", "--html", tmp_path / "run.html", "--json") == 0

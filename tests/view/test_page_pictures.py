@@ -53,7 +53,7 @@ def served(*words: str) -> Iterator[str]:
             process.kill()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     ("scene", "x", "y"), [("demo", -0.1, 0.0), ("rotary_knob", 0.6, 0.0), ("five_bar_sphere", 0.02, 0.26)]
@@ -76,7 +76,7 @@ def test_the_page_of_touch_looks_made_and_stands_still_while_it_is_paused(
         page.wait_for(f"{TIME}.end > {first}")
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("scene", ["demo", "rotary_knob", "five_bar_sphere"])
 def test_the_page_of_scope_looks_made(scene: str, tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_the_page_of_scope_looks_made(scene: str, tmp_path: Path) -> None:
         looks_made(page, tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.timeout(600)
 def test_the_page_of_accuracy_has_a_title_and_a_table_that_fits(tmp_path: Path) -> None:
     path = tmp_path / "accuracy.html"

@@ -144,7 +144,7 @@ def test_a_bad_token_is_refused_in_one_line_and_no_page_may_frame_this_one(tmp_p
     assert "a browser was refused: " in err
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_browser_sees_a_run_while_it_goes_on(tmp_path: Path) -> None:
     pytest.importorskip("bokeh", reason="Bokeh is not installed (pip install 'canhaptic[report]')")
     log = tmp_path / "run.h5"

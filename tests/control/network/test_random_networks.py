@@ -79,7 +79,7 @@ def test_random_networks_are_solved_and_close_their_energy():
     assert judge(800, 1) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.timeout(900)
 def test_a_hundred_thousand_random_networks_are_solved_but_for_some_and_close_their_energy():
     assert judge(100_000, 2) <= 5  # of which the torque is 0 for that hold

@@ -145,10 +145,12 @@ def test_a_number_that_is_not_finite_ends_the_loop() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
+@pytest.mark.campaign_for("*-30")
+@pytest.mark.parametrize("scenes", [4, 30])
 @pytest.mark.parametrize("name", ["xy_box", "two_handles"])
-def test_compiled_it_has_the_same_bits(name: str) -> None:
+def test_compiled_it_has_the_same_bits(name: str, scenes: int) -> None:
     pytest.importorskip("numba")
-    for seed in range(30):
+    for seed in range(scenes):
         case = network_loop(random_scene(name, seed), explains=True)
         expected, found = (values_of(run_network(case, 500, engine)) for engine in ("python", "numba"))
         assert repr(found) == repr(expected), seed

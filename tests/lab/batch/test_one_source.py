@@ -99,6 +99,7 @@ def drawn(algorithm, world, seed, cycles=200):
 
 @pytest.mark.slow  # compiles a loop for each cell
 @pytest.mark.timeout(300)
+@pytest.mark.campaign_but("*-spring_damper_wall", "unprotected-*", "guarded-detents")
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_numba_gives_the_bits_of_python(algorithm, world):

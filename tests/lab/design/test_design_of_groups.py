@@ -104,6 +104,7 @@ def test_what_cannot_be_designed_is_said() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
+@pytest.mark.campaign_for("five_bar_sphere")
 @pytest.mark.parametrize("name", ["xy_box", "five_bar_sphere"])
 def test_the_network_that_is_designed_is_a_scene(name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["design", str(CONFIGS / f"{name}.yaml"), "--engine", "python", "--json"]) == 0

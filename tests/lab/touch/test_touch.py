@@ -142,7 +142,7 @@ def grasp(page: Page, address: str) -> tuple[float, float, float]:
     return middle, across, width
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_pointer_in_a_browser_drags_both_handles(tmp_path: Path) -> None:
     with chromium(width=1200, height=760) as page, touch(str(STIFF), "--port", "0") as (address, process):
         middle, across, width = grasp(page, address)
@@ -171,7 +171,7 @@ def test_a_pointer_in_a_browser_drags_both_handles(tmp_path: Path) -> None:
         assert process.wait(20) == 130
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_page_of_displays_shows_force_velocity_and_energy() -> None:
     words = ("--set", "environment.mass=0.5", "--set", "simulation.admittance.grip.mass=1")
     scene = str(ROOT / "configs" / "admittance" / "virtual_mass.yaml")
