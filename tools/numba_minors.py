@@ -39,7 +39,7 @@ def tested(minor: str) -> int:
     commands = (
         ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-e", ".[fast,dev]", f"numba=={minor}.*"],
         ["-c", "import numba; print(numba.__version__, flush=True)"],
-        ["-m", "pytest", "-q", "-n", "auto", "--dist", "worksteal", *_TESTS],
+        ["-m", "pytest", "-q", "-n", "auto", "--dist", "worksteal", "-m", "not campaign", *_TESTS],
     )
     for words in commands:
         if status := subprocess.run([python, *words], cwd=_REPOSITORY, check=False).returncode:
