@@ -16,6 +16,7 @@ import importlib
 import inspect
 import json
 import os
+import resource
 import select
 import signal
 import sys
@@ -38,6 +39,7 @@ _PYTEST: Final = (
 )
 NOT_SWAPPED: Final = "not swapped"
 """What `TestServer.run` returns for a change that takes a cold run."""
+_MOST_MEMORY: Final = 8 << 30  # B of addresses: a mutant may make a loop that fills the machine
 _LONGEST_START: Final = 300.0  # s, until the tests are collected
 
 
@@ -337,6 +339,7 @@ def _forked(child: Callable[[], None]) -> int:
 def _become(child: Callable[[], None]) -> NoReturn:
     try:
         os.setpgid(0, 0)
+        resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
         child()
     finally:
         os._exit(0)
