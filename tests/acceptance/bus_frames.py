@@ -61,3 +61,10 @@ def assert_never_enabled(frames: Sequence[Frame]) -> None:
     """No frame asked for torque or for OPERATION ENABLED, and the drive reported neither."""
     assert all(command.target_torque == 0 and command.controlword & 0x0F != 0x0F for command in commands(frames))
     assert all(report.torque == 0 and not report.is_enabled for report in reports(frames))
+
+
+def syncs_from_torque_to_zero(frames: Sequence[Frame]) -> int:
+    """SYNCs between the last RPDO with a torque and the next RPDO: 1 when zero was sent in the very next cycle."""
+    rpdos = [k for k, frame in enumerate(frames) if frame.can_id == 0x201 and frame.is_sent]
+    last = max(n for n, k in enumerate(rpdos) if frames[k].data[2:] != b"\0\0")
+    return sum(frame.can_id == 0x080 for frame in frames[rpdos[last] : rpdos[last + 1]])

@@ -16,7 +16,6 @@ from canhaptic.control.verdict import UNBOOKED
 from canhaptic.cycle import Cycle, run, running
 from canhaptic.errors import DriveFaultError, LinkError, RigError
 from canhaptic.logs.energy_reader import EnergyLog
-from canhaptic.replay import replay_bus_log
 from canhaptic.result import run_result
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
@@ -118,21 +117,6 @@ def test_the_account_ends_with_what_the_plant_has_given_when_all_is_still(scene:
         assert experiment.cycle.holds_of_stop > 2
         assert abs(-truth.motor - ledger.interaction) <= resolution + 1e-9 or scene is DISPLAY
         assert judge.believed_error[0] <= resolution + 1e-9
-
-
-@pytest.mark.slow
-def test_a_ramp_is_tried_where_the_account_holds_little_and_is_recomputed_and_replayed(tmp_path: Path) -> None:
-    energy_log, bus_log = tmp_path / "run.h5", tmp_path / "run.log"
-    words = ["--duration", "0.03", "--log", str(energy_log), "--bus-log", str(bus_log), "--json", *IN_CONTACT]
-    assert main(["run", str(DEMO), *words]) == 0
-    with EnergyLog.open(energy_log) as log:
-        sent = log.ports["handle"].read("torque_command", 0, log.rows)
-        assert [event.sync_index for event in log.events if event.kind == "stopping"] == [30]
-        assert [port["mismatch"] for port in recompute_all(log)] == [None]
-    assert len(sent) == 52
-    assert 0.0 < abs(sent[45]) < abs(sent[31])
-    assert set(sent[-3:]) == {0.0}
-    assert replay_bus_log(bus_log, load_scene(DEMO, WORDS))["status"] == "identical"
 
 
 def test_a_stop_that_waits_for_a_lagging_torque_and_holds_a_weight_is_recomputed(tmp_path: Path) -> None:

@@ -55,19 +55,6 @@ def test_no_account_of_two_displays_claims_what_their_plants_deny() -> None:
     assert exchanged < -0.1  # one axis alone gave out what came in by the other
 
 
-@pytest.mark.slow
-def test_no_account_of_an_arm_of_two_displays_claims_what_their_plants_deny() -> None:
-    judged = moved = 0
-    for seed in range(700, 706):
-        found = with_true_group_bounds(on_an_arm(random_group(seed)), 200)
-        if found is not None:
-            assert not false_group_claims(*found), seed
-            judged += 1
-            moved += max(axis.travel for axis in found[1].axes) > 0.01
-    assert judged >= 5
-    assert moved >= 3
-
-
 @pytest.mark.slow_but("five-bar-3")
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(

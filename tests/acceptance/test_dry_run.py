@@ -21,7 +21,7 @@ from canhaptic.replay import replay_bus_log
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.view.series import LiveLog
-from tests.acceptance.bus_frames import DEMO, commands, read_log, reports
+from tests.acceptance.bus_frames import DEMO, commands, read_log
 from tests.acceptance.group_runs import REPOSITORY
 
 CONFIGS = REPOSITORY / "configs"
@@ -125,39 +125,8 @@ def test_it_is_recomputed_rederived_and_replayed_as_it_ran(dry: DryRun) -> None:
 
 
 @pytest.mark.slow
-def test_a_replay_takes_from_the_energy_log_that_the_run_was_dry(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ran = DryRun(ONE, tmp_path)
-    config = ["--config", str(DEMO), "--set", "environment.side=above"]
-    assert main(["replay", "--quick", str(ran.bus), *config, "--energy-log", str(ran.log)]) == 0
-    assert main(["replay", "--quick", str(ran.bus), *config, "--no-torque"]) == 0
-    assert main(["replay", "--quick", str(ran.bus), *config]) == 1
-    capsys.readouterr()
-
-
-@pytest.mark.slow
-def test_a_run_of_the_same_scene_sends_torques(tmp_path: Path) -> None:
-    ran = DryRun(ONE, tmp_path, no_torque=False)
-    assert len(ran.torques()) > 10
-    assert "dry_run" not in ran.result
-    assert ran.result["ports"]["handle"]["certificates"]
-    with EnergyLog.open(ran.log) as log:
-        assert not log.dry_run
-
-
-@pytest.mark.slow
-def test_the_drive_is_enabled_as_in_a_run(tmp_path: Path) -> None:
-    frames = read_log(DryRun(ONE, tmp_path).bus)
-    assert sum(report.is_enabled for report in reports(frames)) >= 300
-    assert {command.controlword for command in commands(frames)} >= {0x06, 0x07, 0x0F}
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", [MEASURED, UNREAD], ids=["measured", "not read back"])
-def test_a_drive_that_reads_back_otherwise_books_nothing_either(
-    kind: tuple[str, tuple[str, ...]], tmp_path: Path
-) -> None:
+def test_a_drive_that_reads_back_otherwise_books_nothing_either(kind: tuple[str, tuple[str, ...]], tmp_path) -> None:
     ran = DryRun(kind, tmp_path)
     port = ran.result["ports"]["handle"]
     assert ran.torques() == {0}

@@ -56,9 +56,7 @@ def ran(
     ("limit", "errors", "least"),
     [("10 mJ", ("EnergyLostError", "SyncsSkippedError"), -0.2), ("none", ("SyncsSkippedError",), -10.0)],
 )
-def test_a_host_that_is_late_for_more_syncs_than_it_sends_is_stopped(
-    limit: str, errors: tuple[str, ...], least: float, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_host_that_is_late_for_more_syncs_than_it_sends_is_stopped(limit, errors: tuple[str, ...], least, capsys):
     """Without an end 16,376 SYNCs were skipped, and 67 J given out."""
     result = ran(capsys, stalls(0.045, 0.05), f"axes.0.energy_loss_limit={limit}", seconds=20.0)
     assert result["exit"] == 3
@@ -71,9 +69,7 @@ def test_a_host_that_is_late_for_more_syncs_than_it_sends_is_stopped(
 @pytest.mark.parametrize(
     "values", [(TOO_HEAVY, *ACTIVE), (TOO_HEAVY, *ACTIVE, "bus.rpdo=event"), (stalls(0.024, 0.05), *HARD)]
 )
-def test_a_port_that_goes_on_giving_out_energy_is_stopped(
-    values: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_port_that_goes_on_giving_out_energy_is_stopped(values: tuple[str, ...], capsys) -> None:
     result = ran(capsys, *values)
     assert result["exit"] == 3
     assert "EnergyLostError: " in result["message"]
@@ -89,9 +85,7 @@ def test_what_was_declared_may_be_given_out(capsys: pytest.CaptureFixture[str]) 
     assert result["ports"]["handle"]["least_interaction"] < -0.5
 
 
-def test_in_simulation_an_algorithm_that_promises_nothing_goes_on_unless_asked(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_in_simulation_an_algorithm_that_promises_nothing_goes_on_unless_asked(capsys) -> None:
     result = ran(capsys, UNPROTECTED, *ACTIVE, seconds=2.0)
     assert (result["exit"], result["passive"]) == (0, "no")
     assert ran(capsys, TOO_HEAVY, *ACTIVE, "axes.0.energy_loss_limit=none", seconds=2.0)["exit"] == 0

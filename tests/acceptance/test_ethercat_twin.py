@@ -41,11 +41,6 @@ def false_claims(seeds: range) -> dict[int, tuple[str, ...]]:
     return {seed: of.false_claims for seed, of in is_true if of.declared and of.false_claims}
 
 
-@pytest.mark.slow
-def test_a_random_scene_with_drifting_clocks_and_lost_frames_claims_nothing_false() -> None:
-    assert false_claims(range(25, 28)) == {}
-
-
 def test_a_push_against_late_torques_has_to_be_declared_on_a_line_too() -> None:
     scene = ethercat_scene(204)  # 19 N towards a wall, through its drag; 7 N are declared as it is drawn
     raised, outcome = judged(replace(scene, duration=0.04))

@@ -20,10 +20,9 @@ import numpy as np
 import pytest
 
 from canhaptic.cli.main import main
-from canhaptic.errors import InputError, LogFormatError, ParameterError
+from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch import chosen_engine
-from canhaptic.logs import bus_reader, repair
-from canhaptic.logs.repair import in_own_process
+from canhaptic.logs import bus_reader
 from canhaptic.view.picture_style import require_matplotlib
 from tools import mutated_files
 from tools.mutated_files import outcome_of
@@ -97,9 +96,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("made", [a_pipe, a_folder, a_device, nothing])
-def test_what_is_no_regular_file_is_refused_at_once_in_every_place(
-    made: Callable[[Path], Path], log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_regular_file_is_refused_at_once_in_every_place(made: Callable[[Path], Path], log, tmp_path, capsys):
     for suffix in (".yaml", ".py"):  # what the profile and the program file are called
         made(tmp_path / f"file{suffix}")
     for words in uses(made(tmp_path / "file"), log):
@@ -127,9 +124,7 @@ def outside(name: str, pipe: Path, log: Path) -> None:
 
 @pytest.mark.slow_but("link")
 @pytest.mark.parametrize("name", ["external storage", "virtual", "link", "loop"])
-def test_a_log_has_no_values_in_another_file(
-    name: str, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_has_no_values_in_another_file(name: str, log: Path, tmp_path, capsys) -> None:
     """HDF5 would open a pipe and wait for ever, which takes no processor time."""
     path = tmp_path / "run.h5"
     shutil.copy(log, path)
@@ -140,9 +135,7 @@ def test_a_log_has_no_values_in_another_file(
 
 
 @pytest.mark.slow
-def test_a_text_of_a_log_that_is_nested_too_deeply_is_one_error(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_text_of_a_log_that_is_nested_too_deeply_is_one_error(log: Path, tmp_path, capsys) -> None:
     path = tmp_path / "run.h5"
     shutil.copy(log, path)
     with h5py.File(path, "r+") as file:
@@ -151,9 +144,7 @@ def test_a_text_of_a_log_that_is_nested_too_deeply_is_one_error(
     assert "config_resolved cannot be read" in capsys.readouterr().err
 
 
-def test_a_container_that_unpacks_to_gigabytes_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_container_that_unpacks_to_gigabytes_is_refused(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(bus_reader, "_UNPACKED", 1 << 20)
     content = struct.pack("<HHLLL", 2, 0, 0, 100, 0) + zlib.compress(bytes(1 << 21), 9)  # it claims 100 bytes
     path = tmp_path / "bus.blf"
@@ -163,9 +154,7 @@ def test_a_container_that_unpacks_to_gigabytes_is_refused(
     assert "unpacks to 1048576 bytes or more" in capsys.readouterr().err
 
 
-def test_of_a_scene_with_hundreds_of_faults_the_first_two_hundred_are_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_of_a_scene_with_hundreds_of_faults_the_first_two_hundred_are_printed(tmp_path, capsys) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text("".join(f"k{number}: 1\n" for number in range(300)))
     assert main(["check", f"{path}"]) == 2
@@ -185,9 +174,7 @@ def test_numba_obeys_no_file_of_the_current_folder(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.parametrize("made", [a_pipe, a_device])
-def test_a_matplotlibrc_that_never_ends_is_refused(
-    made: Callable[[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_matplotlibrc_that_never_ends_is_refused(made: Callable[[Path], Path], tmp_path, monkeypatch) -> None:
     made(tmp_path / "matplotlibrc")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"is a pipe|is a device"):
@@ -236,23 +223,6 @@ def test_a_log_with_random_bytes_in_its_tables_never_hangs_inspect(seeds: int, l
         path.write_bytes(damaged)
         found = outcome_of(["inspect", f"{path}"], tmp_path / "output")
         assert found.status in {0, 1, 2}, (seed, found)
-
-
-@pytest.mark.slow
-def test_reading_that_never_ends_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(repair, "_SECONDS", 1)
-    path = tmp_path / "any.h5"
-    path.write_bytes(b"any")
-
-    def for_ever() -> None:
-        while True:
-            pass
-
-    with pytest.raises(
-        LogFormatError,
-        match=r"any\.h5: too damaged: the HDF5 library does not finish reading it within 1 s of a processor",
-    ):
-        in_own_process(path, for_ever)
 
 
 KILLED = """
@@ -312,9 +282,7 @@ def named(log: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_names_of_others_are_shown_and_do_not_steer_the_terminal(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_names_of_others_are_shown_and_do_not_steer_the_terminal(log: Path, tmp_path, capsys) -> None:
     text = EDS.read_text()
     for key in ("VendorName", "ProductName", "OrderCode"):
         text = text.replace(f"\n{key}=", f"\n{key}={STEERING.replace(chr(13), '')}")

@@ -15,9 +15,7 @@ TOO_BUSY = ("[TPDO_LOST]", "[HEARTBEAT_LOST]", "[SYNCS_SKIPPED]", "[EMERGENCY]")
 
 
 @pytest.mark.slow
-def test_a_killed_drive_stops_the_master_and_one_that_is_started_again_serves_the_next_run(
-    shared_bus: tuple[Listener, list[str]],
-) -> None:
+def test_a_killed_drive_stops_the_master_and_one_that_is_started_again_serves_the_next_run(shared_bus):
     listener, on_bus = shared_bus
     run = ["run", str(DEMO), *on_bus, "--pace", "real"]
     with canhaptic("drive", str(DEMO), *on_bus, *HAND_IN_THE_WALL) as drive:

@@ -8,9 +8,7 @@ from tests.acceptance.two_processes import Listener, canhaptic, pushed, shared_b
 __all__ = ["shared_bus"]  # a fixture
 
 
-def test_the_drive_of_a_killed_master_drops_its_torque_by_its_own_watchdog(
-    shared_bus: tuple[Listener, list[str]],
-) -> None:
+def test_the_drive_of_a_killed_master_drops_its_torque_by_its_own_watchdog(shared_bus: tuple[Listener, list[str]]):
     listener, on_bus = shared_bus
     hand_in_the_wall = ["--set", "simulation.user.rest=-0.2 m"]
     with canhaptic("drive", str(DEMO), *on_bus, *hand_in_the_wall) as drive:

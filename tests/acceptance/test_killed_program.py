@@ -81,9 +81,7 @@ def time_to_zero(way: str, turn: int, listener: Listener, on_bus: list[str]) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
-def test_the_watchdog_of_the_drive_ends_the_torque_of_a_program_that_no_code_ends(
-    way: str, shared_bus: tuple[Listener, list[str]]
-) -> None:
+def test_the_watchdog_of_the_drive_ends_the_torque_of_a_program_that_no_code_ends(way, shared_bus):
     for attempt in range(5):
         try:
             assert time_to_zero(way, 20, *shared_bus) >= HEARTBEAT_TIMEOUT - 1_000

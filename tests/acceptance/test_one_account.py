@@ -87,9 +87,7 @@ def test_every_view_gives_the_account_of_the_run(run_and_log: tuple[dict[str, An
 
 
 @pytest.mark.slow
-def test_a_wall_that_the_torque_limit_cuts_is_rendered_up_to_the_limit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wall_that_the_torque_limit_cuts_is_rendered_up_to_the_limit(tmp_path, capsys) -> None:
     path, most = tmp_path / "run.h5", 1.5
     wall = ["environment.stiffness=200 N/m", "environment.damping=0", "passivity={algorithm: unprotected}"]
     words = [word for value in (*wall, f"axes.0.torque_limit={most}") for word in ("--set", value)]

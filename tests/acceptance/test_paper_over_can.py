@@ -80,9 +80,7 @@ DURATION = 6.0
 @pytest.mark.slow_but("synchronous-3.0-40")
 @pytest.mark.parametrize("rate", [40, 100])
 @pytest.mark.parametrize(("rpdo", "limit"), [("event", 1.5), ("synchronous", 3.0)])
-def test_the_papers_algorithm_renders_figs_4_and_5_over_can_without_ringing(
-    rate: int, rpdo: str, limit: float, continuous_variation
-) -> None:
+def test_the_papers_algorithm_renders_figs_4_and_5_over_can_without_ringing(rate, rpdo, limit, continuous_variation):
     config = "paper_fig4_40hz.yaml" if rate == 40 else "paper_fig5_100hz.yaml"
     found = over_can(
         config, "passivity.algorithm=internal_dissipation", f"bus.rate={rate}", f"bus.rpdo={rpdo}", duration=DURATION
@@ -113,9 +111,7 @@ def test_the_original_shows_fig_4_and_fails_in_fig_5_over_can(rpdo: str, continu
         ("paper_fig8_100hz.yaml", "synchronous", 3.0),
     ],
 )
-def test_figs_7_to_9_over_can_keep_eq_4_and_stick_before_the_exit(
-    config: str, rpdo: str, limit: float, continuous_variation
-) -> None:
+def test_figs_7_to_9_over_can_keep_eq_4_and_stick_before_the_exit(config, rpdo, limit, continuous_variation) -> None:
     found = over_can(config, f"bus.rpdo={rpdo}", duration=DURATION)
     assert found.least_margin >= -5e-3
     assert found.least_interaction >= -5e-3

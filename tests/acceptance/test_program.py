@@ -21,8 +21,14 @@ from canhaptic.drive.rig import Rig
 from canhaptic.errors import CycleFailedError, InputError, RigError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.program import OpenRig
-from tests.acceptance.bus_frames import DEMO, assert_never_enabled, commands, read_log, reports
-from tests.acceptance.test_ways_out import syncs_from_torque_to_zero
+from tests.acceptance.bus_frames import (
+    DEMO,
+    assert_never_enabled,
+    commands,
+    read_log,
+    reports,
+    syncs_from_torque_to_zero,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 FAR = {"bus.interface": "udp_multicast", "bus.channel": "239.74.163.2"}
@@ -250,9 +256,7 @@ def test_a_program_that_catches_the_interrupt_in_its_loop_ends_at_the_next_turn(
     assert (torques[-1], reports(frames)[-1].is_enabled) == (0, False)
 
 
-def test_a_handler_of_the_program_is_called_between_two_pieces_of_the_rigs_work_and_decides(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_handler_of_the_program_is_called_between_two_pieces_of_the_rigs_work_and_decides(monkeypatch) -> None:
     called: list[str] = []
     sync = Rig.sync
 
@@ -275,9 +279,7 @@ def test_a_handler_of_the_program_is_called_between_two_pieces_of_the_rigs_work_
 
 
 @pytest.mark.parametrize("signals", [1, 3])
-def test_signals_in_the_start_end_it_before_anything_is_enabled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, signals: int
-) -> None:
+def test_signals_in_the_start_end_it_before_anything_is_enabled(tmp_path, monkeypatch, signals: int) -> None:
     begin = Exchange.begin
 
     def interrupted(exchange: Exchange) -> None:

@@ -49,9 +49,7 @@ def test_a_torque_that_acted_for_longer_than_was_certified_was_not(capsys: pytes
 
 @pytest.mark.slow_but("0-hand_force")
 @pytest.mark.parametrize(("max_consecutive_losses", "certificate"), [(-1, "none"), (0, "hand_force")])
-def test_frames_lost_are_certified_as_far_as_they_are_declared(
-    max_consecutive_losses: int, certificate: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_frames_lost_are_certified_as_far_as_they_are_declared(max_consecutive_losses: int, certificate: str, capsys):
     drop = "simulation.bus={drop: 0.1}"
     before, _ = account(capsys, drop)
     longest, branches = before["longest_hold"], before["branches"]
@@ -81,9 +79,7 @@ UNEVEN = "simulation.bus={stall: [{begin: 0.2, duration: 0.04 ms, every: 0.0113}
 
 @pytest.mark.slow_for("0.039-none")
 @pytest.mark.parametrize(("jitter", "certificate"), [(0.039, "none"), (0.041, "hand_force")])
-def test_a_hold_longer_than_declared_has_no_certificate_and_one_that_is_not_has(
-    jitter: float, certificate: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_hold_longer_than_declared_has_no_certificate_and_one_that_is_not_has(jitter, certificate, capsys, tmp_path):
     """0.04 ms of 1 ms: no SYNC is skipped."""
     path = tmp_path / "run.h5"
     words = ["--duration", "1.4", "--pace", "free", "--json", "--log", str(path)]
@@ -194,9 +190,7 @@ def test_no_account_of_torques_that_were_never_commanded_says_yes(capsys: pytest
         ("axes.0.read_back=actual", "simulation.drive.torque_lag=2 ms"),  # one that settles
     ],
 )
-def test_smaller_older_and_settling_torques_are_no_other_torques(
-    values: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_smaller_older_and_settling_torques_are_no_other_torques(values: tuple[str, ...], capsys) -> None:
     port, _ = account(capsys, *values)
     assert port["out"] > 0.0
     assert port["uncommanded_cycles"] == 0

@@ -1,7 +1,6 @@
 """First time at which the net energy of a port fell below zero: in the account, the log and a failed check."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +12,7 @@ from canhaptic.logs.energy_reader import EnergyLog
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::canhaptic.errors.OverrideWarning")  # keys of guarded are dropped
-def test_the_first_moment_below_zero_is_the_same_in_run_log_check_and_python(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_first_moment_below_zero_is_the_same_in_run_log_check_and_python(tmp_path, capsys) -> None:
     log, rattles = tmp_path / "a.h5", {"passivity.algorithm": "unprotected"}
     words = ["run", "stiff_wall", "--set", "passivity.algorithm=unprotected", "--duration", "0.6", "--log", str(log)]
     assert main([*words, "--json"]) == 0

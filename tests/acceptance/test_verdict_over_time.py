@@ -38,9 +38,7 @@ def run(folder: Path, changes: list[str], duration: float) -> None:
 @pytest.mark.parametrize("changes", FALSE.values(), ids=FALSE)
 @pytest.mark.slow_but("1.3-*shaft")
 @pytest.mark.parametrize("duration", [1.3, 4.0, 20.0])
-def test_what_the_account_knows_once_it_says_until_the_end(
-    changes: list[str], duration: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_the_account_knows_once_it_says_until_the_end(changes: list[str], duration: float, tmp_path, capsys):
     run(tmp_path, changes, duration)
     result = json.loads(capsys.readouterr().out)
     port = result["ports"]["handle"]
@@ -68,6 +66,7 @@ def test_what_the_account_knows_once_it_says_until_the_end(
         assert account["contradicted"] == ["hand_force"]
 
 
+@pytest.mark.slow
 def test_a_changed_latch_in_a_log_is_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run(tmp_path, FALSE["a mass behind a shaft"], 1.3)
     capsys.readouterr()
@@ -79,6 +78,7 @@ def test_a_changed_latch_in_a_log_is_noticed(tmp_path: Path, capsys: pytest.Capt
     assert outcome["mismatch"]["quantity"] == "active"
 
 
+@pytest.mark.slow
 def test_a_resolution_that_is_an_estimate_says_no_at_no_time() -> None:
     changes = {"passivity": {"algorithm": "unprotected", "current_lag": "0.2 ms"}, "environment.stiffness": "10 kN/m",
                "environment.damping": 0.0}  # fmt: skip

@@ -66,9 +66,7 @@ def test_the_account_equals_that_of_the_ledger_of_the_run(log: Path, start: floa
 
 
 @pytest.mark.slow
-def test_the_hold_in_which_the_hand_leaves_does_not_count_as_damping_that_was_not_rendered(
-    account: Inspection, tmp_path: Path
-) -> None:
+def test_the_hold_in_which_the_hand_leaves_does_not_count_as_damping_that_was_not_rendered(account, tmp_path):
     path = tmp_path / "run.h5"
     write_run(path, 4000)
     before = account["ports"]["handle"]["damping_rendered"]
@@ -128,9 +126,7 @@ def test_in_the_wall_of_user_code_in_its_own_process_the_depth_is_measured_and_o
 
 
 @pytest.mark.slow
-def test_syncs_that_were_skipped_in_a_contact_are_part_of_its_time(
-    log: Path, account: Inspection, tmp_path: Path
-) -> None:
+def test_syncs_that_were_skipped_in_a_contact_are_part_of_its_time(log: Path, account: Inspection, tmp_path) -> None:
     before = account["contacts"]["handle"]
     path = tmp_path / "late.h5"
     path.write_bytes(log.read_bytes())
@@ -165,20 +161,6 @@ def test_no_check_passes_on_a_log_that_holds_no_cycle(tmp_path: Path) -> None:
     for expression in ("passive", "margin >= -1 uJ"):
         with pytest.raises(InputError, match="the run has no cycle"):
             check(result, expression)
-
-
-@pytest.mark.slow
-def test_a_log_that_holds_no_cycle_shows_no_zeros(log: Path, tmp_path: Path, capsys: Captured) -> None:
-    write_run(tmp_path / "cut.h5", 0)
-    with h5py.File(tmp_path / "cut.h5", "r+") as file:
-        file.attrs["status"] = "failed: no space; the log ends at cycle 0 of 6000"
-    assert typed.inspect(tmp_path / "cut.h5") == 1
-    shown = capsys.readouterr().out
-    assert "FAILED: " in shown
-    assert "\n the log holds no cycle\n failed: no space; the log ends at cycle 0 of 6000" in shown
-    assert not re.search("energy account|until then|TPDOs received", shown)
-    assert typed.inspect(log, tmp_path / "cut.h5") == 1
-    assert re.search(r"energy account +handle *\n", capsys.readouterr().out)  # one column
 
 
 def test_a_part_without_a_cycle_is_refused(log: Path) -> None:
@@ -298,9 +280,7 @@ def test_every_figure_of_an_account_has_a_unit_that_a_check_takes(account: Inspe
     assert check(result, "wakeup_lateness.max < 1 s")[0]["holds"]
 
 
-def test_the_verdict_is_one_word_for_machines(
-    log: Path, account: Inspection, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_verdict_is_one_word_for_machines(log: Path, account: Inspection, tmp_path, capsys) -> None:
     result = account
     assert (result["passive"], result["ports"]["handle"]["passive"]) == ("yes", "yes")
     assert [c["holds"] for c in check(result, "passive")] == [c["holds"] for c in check(result, "handle.passive")]
@@ -340,23 +320,6 @@ def test_a_run_without_a_contact_fails_the_check_of_its_verdict(tmp_path: Path, 
     shown = capsys.readouterr().out
     assert "no contact, so nothing was tested" in shown
     assert "the wall begins at -1" in shown
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:--set passivity=unprotected")
-def test_a_run_without_protection_names_its_algorithm_everywhere(tmp_path: Path, capsys: Captured) -> None:
-    for name in ("guarded", "unprotected"):
-        changes = () if name == "guarded" else (f"passivity={name}",)
-        scene = load_scene(CONFIGS / "demo.yaml", [*changes, "environment.side=above"])
-        with build(scene, energy_log=tmp_path / f"{name}.h5") as experiment:
-            result, _ = experiment.run_through(300)
-        assert result["ports"]["handle"]["algorithm"] == name
-    page = tmp_path / "page.html"
-    assert typed.inspect(tmp_path / "unprotected.h5", tmp_path / "guarded.h5", "--full", "--html", page) == 0
-    shown = capsys.readouterr().out
-    assert shown.count("no guarantee: unprotected has none") == 1
-    assert re.search(r"algorithm +unprotected +guarded", shown)
-    assert re.search(r"<td[^>]*>algorithm</td><td[^>]*>unprotected *</td><td[^>]*>guarded", page.read_text())
 
 
 @pytest.mark.slow
@@ -440,60 +403,13 @@ def test_comparison_finds_one_changed_bit_and_its_cycle(log: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_the_command_prints_tables_that_fit_a_hundred_columns(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert typed.inspect(log, "--check", "deficit==0", "--full") == 0
-    text = capsys.readouterr().out
-    assert max(len(line.rstrip()) for line in text.splitlines() if str(log) not in line) <= 100
-    for words in ("energy account", "3 contacts", "0x8130 heartbeat lost", "holds", "cycle time"):
-        assert words in text
-
-
-@pytest.mark.slow
-def test_the_command_exits_with_one_when_a_check_or_comparison_fails(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_exits_with_one_when_a_check_or_comparison_fails(log: Path, tmp_path, capsys) -> None:
     assert typed.inspect(log, "--check", "margin>=0") == 1
     assert "FAILS" in capsys.readouterr().out
     assert typed.inspect(log, "--compare", changed(log, tmp_path / "b.h5"), "--json") == 1
     result = json.loads(capsys.readouterr().out)
     assert result["comparison"]["differences"][0]["cycle"] == 1234
     assert result["ports"]["handle"]["branches"]["exact"] == 1375
-
-
-@pytest.mark.slow
-def test_every_picture_and_page_written_is_named_for_one_log_and_for_two(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("canhaptic.cli.inspect.draw_energy", lambda *_: None)
-    monkeypatch.setattr("canhaptic.view.html_page.write_html", lambda *_: None)
-    picture, page = tmp_path / "a.png", tmp_path / "a.html"
-    for logs in ([log], [log, log]):
-        assert typed.inspect(*logs, "--png", picture, "--html", page) == 0
-        assert capsys.readouterr().err.split() == ["picture", str(picture), "page", str(page)]
-
-
-@pytest.mark.slow
-def test_a_csv_reads_back_to_the_same_bits(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert typed.inspect(log, "--csv", tmp_path / "run.csv", "--json") == 0
-    capsys.readouterr()
-    lines = (tmp_path / "run.csv").read_text().splitlines()
-    titles = lines[0].split(",")
-    column = titles.index("handle.interaction [J]")
-    assert len(lines) == 4001
-    with EnergyLog.open(log) as opened:
-        assert [float(line.split(",")[column]) for line in lines[1:]] == opened.ports["handle"]["h_i"].tolist()
-    with pytest.raises(InputError, match=r"ends in \.csv"):
-        typed.inspect(log, "--csv", tmp_path / "run.txt")
-
-
-@pytest.mark.slow
-def test_a_mat_file_holds_every_quantity(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    io = pytest.importorskip("scipy.io")
-    assert typed.inspect(log, "--mat", tmp_path / "run.mat", "--json") == 0
-    capsys.readouterr()
-    content = io.loadmat(tmp_path / "run.mat", simplify_cells=True)
-    with EnergyLog.open(log) as opened:
-        assert np.array_equal(content["ports"]["handle"]["interaction"], opened.ports["handle"]["h_i"])
 
 
 @pytest.mark.slow

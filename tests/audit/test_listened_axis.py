@@ -69,9 +69,7 @@ def test_every_quirk_that_scales_is_known_to_the_audit() -> None:
     st.sampled_from([1, -1]),
     st.sampled_from(["", *_TORQUE_COUNTS]),
 )
-def test_both_scalings_give_the_same_bits(
-    counts: list[int], per_mille: int, counts_per_unit: float, rated: float, direction: int, quirk: str
-) -> None:
+def test_both_scalings_give_the_same_bits(counts, per_mille, counts_per_unit, rated, direction, quirk) -> None:
     quirks = (quirk,) if quirk else ()
     master = AxisScaling(counts_per_unit, rated * quirks_of(quirks).torque_scale, direction)
     axis = listened(counts_per_unit=counts_per_unit, rated_torque=rated, direction=direction, quirks=quirks)

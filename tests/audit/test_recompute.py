@@ -2,7 +2,6 @@ import math
 from pathlib import Path
 
 import h5py
-import pytest
 
 from canhaptic.audit import recompute as module
 from canhaptic.audit.recompute import recompute
@@ -44,9 +43,7 @@ def record(path: Path) -> None:
     writer.close()
 
 
-def test_a_recorded_run_is_reproduced_bit_for_bit_and_one_changed_bit_is_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recorded_run_is_reproduced_bit_for_bit_and_one_changed_bit_is_found(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(module, "_BLOCK", 300)
     path = tmp_path / "run.h5"
     record(path)

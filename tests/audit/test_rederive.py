@@ -23,9 +23,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return energy, bus
 
 
-def test_frames_alone_give_the_logged_account_bit_for_bit(
-    logs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_frames_alone_give_the_logged_account_bit_for_bit(logs: tuple[Path, Path], capsys) -> None:
     energy, bus = logs
     assert typed.inspect(energy, "--bus-log", bus, "--recompute", "--check", "in > 1 mJ") == 0
     text = capsys.readouterr().out
@@ -42,9 +40,7 @@ def test_frames_alone_give_the_logged_account_bit_for_bit(
         "axes.0.read_back=actual",
     ],
 )
-def test_the_account_is_derived_whatever_the_drive_reports_and_the_bus_loses(
-    override: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_account_is_derived_whatever_the_drive_reports_and_the_bus_loses(override: str, tmp_path, capsys) -> None:
     energy, bus = tmp_path / "run.h5", tmp_path / "run.log"
     words = ["run", str(DEMO), "--duration", "1.3", "--pace", "free", "--log", str(energy), "--bus-log", str(bus)]
     assert main([*words, "--json", "--set", override]) == 0
@@ -55,9 +51,7 @@ def test_the_account_is_derived_whatever_the_drive_reports_and_the_bus_loses(
     assert result["rederived"]["ports"]["handle"]["in"] == pytest.approx(result["ports"]["handle"]["in"], rel=1e-12)
 
 
-def test_one_flipped_bit_in_one_recorded_position_is_found(
-    logs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_flipped_bit_in_one_recorded_position_is_found(logs: tuple[Path, Path], tmp_path, capsys) -> None:
     energy, bus = logs
     lines = bus.read_text().splitlines(keepends=True)
     positions = [number for number, line in enumerate(lines) if " 181#" in line]
@@ -73,9 +67,7 @@ def test_one_flipped_bit_in_one_recorded_position_is_found(
 
 
 @pytest.mark.slow
-def test_a_bus_log_alone_can_be_inspected_with_its_scene(
-    logs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bus_log_alone_can_be_inspected_with_its_scene(logs: tuple[Path, Path], capsys) -> None:
     assert typed.inspect(logs[1], "--config", DEMO, "--check", "deficit == 0") == 0
     shown = capsys.readouterr().out
     assert "derived from the frames of run.log" in shown
@@ -103,9 +95,7 @@ def test_a_scene_that_is_gone_is_asked_for(logs: tuple[Path, Path], tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_a_recomputation_that_differs_is_shown_and_ends_with_one(
-    logs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recomputation_that_differs_is_shown_and_ends_with_one(logs: tuple[Path, Path], tmp_path, capsys) -> None:
     tampered = tmp_path / "run.h5"
     tampered.write_bytes(logs[0].read_bytes())
     with h5py.File(tampered, "r+") as file:
@@ -119,9 +109,7 @@ def test_a_recomputation_that_differs_is_shown_and_ends_with_one(
 
 
 @pytest.mark.slow
-def test_rows_that_are_missing_are_no_mismatch_but_counted(
-    logs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rows_that_are_missing_are_no_mismatch_but_counted(logs: tuple[Path, Path], tmp_path, capsys) -> None:
     """The log of a run that lost three rows, and one of a run whose SYNC was skipped for seven sample times."""
     path = tmp_path / "run.h5"
 
@@ -144,9 +132,7 @@ def test_rows_that_are_missing_are_no_mismatch_but_counted(
 
 
 @pytest.mark.slow
-def test_the_account_is_derived_where_syncs_were_skipped_and_up_to_the_last_answer(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_account_is_derived_where_syncs_were_skipped_and_up_to_the_last_answer(tmp_path, capsys) -> None:
     """A log that ends with the answers to a SYNC, as that of a killed master does."""
     energy, bus = tmp_path / "run.h5", tmp_path / "run.log"
     stall = "simulation.bus={stall: [{begin: 1.05, duration: 6 ms, every: 0.0713}]}"

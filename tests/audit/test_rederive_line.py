@@ -55,9 +55,7 @@ def rederived(energy: Path, bus: Path, capsys: pytest.CaptureFixture[str]) -> di
     return found
 
 
-def test_a_capture_alone_gives_the_logged_account_bit_for_bit_and_a_flipped_bit_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_capture_alone_gives_the_logged_account_bit_for_bit_and_a_flipped_bit_is_named(tmp_path, capsys) -> None:
     energy, bus = recorded(tmp_path, SCENE, "0.06", "bus.rate=200", "bus.watchdog=50 ms")
     found = rederived(energy, bus, capsys)
     assert (found["cycles"], found["differences"], found["remarks"]) == (12, [], [])
@@ -72,9 +70,7 @@ def test_a_capture_alone_gives_the_logged_account_bit_for_bit_and_a_flipped_bit_
 @pytest.mark.parametrize(
     "override", [FAULTS, "bus.frames=1", "axes.0.read_back=actual", "axes.0.demand_reported=after"]
 )
-def test_the_account_is_derived_whatever_the_line_loses_and_the_drive_reports(
-    override: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_account_is_derived_whatever_the_line_loses_and_the_drive_reports(override: str, tmp_path, capsys) -> None:
     energy, bus = recorded(tmp_path, SCENE, "1.5", override, "bus.loss_limit=0.5")
     found = rederived(energy, bus, capsys)
     assert (found["differences"], found["damage"]) == ([], [])
@@ -84,9 +80,7 @@ def test_the_account_is_derived_whatever_the_line_loses_and_the_drive_reports(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["xy_box.yaml", "admittance/wall.yaml"])
-def test_the_account_of_a_group_and_of_a_display_is_derived(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_account_of_a_group_and_of_a_display_is_derived(name: str, tmp_path, capsys) -> None:
     scene = tmp_path / "line.yaml"
     scene.write_text(yaml.safe_dump(on_ethercat(yaml.safe_load((CONFIGS / name).read_text()))))
     found = rederived(*recorded(tmp_path, scene, "0.5"), capsys)
@@ -120,9 +114,7 @@ def test_what_was_altered_or_is_missing_is_named(tmp_path: Path, capsys: pytest.
 
 
 @pytest.mark.slow
-def test_a_capture_alone_can_be_inspected_with_its_scene_and_no_other(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_capture_alone_can_be_inspected_with_its_scene_and_no_other(tmp_path, capsys) -> None:
     _, bus = recorded(tmp_path)
     assert typed.inspect(bus, "--config", SCENE, "--check", "deficit == 0") == 0
     assert "derived from the frames of run.pcap" in capsys.readouterr().out

@@ -130,9 +130,7 @@ def test_the_advised_value_calms_the_twin_and_json_says_so(tmp_path: Path, capsy
 
 
 @pytest.mark.slow
-def test_a_calm_run_has_no_cause_and_a_run_that_buzzes_a_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_calm_run_has_no_cause_and_a_run_that_buzzes_a_line(tmp_path, capsys) -> None:
     log = str(tmp_path / "calm.h5")
     assert main(["run", "demo", "--duration", "0.6", "--log", log]) == 0
     assert "buzzes" not in capsys.readouterr().err
@@ -155,9 +153,7 @@ def test_frames_without_times_or_maps_say_which_signals_are_missing(tmp_path: Pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bus", [{"delay": 1.5e-4, "jitter": 1e-4}, {"delay": 2e-4, "ids": [0x201]}, {"drop": 0.15}])
-def test_frames_that_are_late_or_lost_are_the_cause_where_a_stable_loop_grows_with_them(
-    bus: dict[str, object], tmp_path: Path
-) -> None:
+def test_frames_that_are_late_or_lost_are_the_cause_where_a_stable_loop_grows_with_them(bus, tmp_path):
     scene = buzzing.base(Random(1))
     scene["bus"] |= {"rate": 1000, "rpdo": "event", "loss_limit": 1.0}
     lost = scene["simulation"]["plant"]["damping"] + scene["environment"]["damping"]
@@ -172,9 +168,7 @@ def test_frames_that_are_late_or_lost_are_the_cause_where_a_stable_loop_grows_wi
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "in_model"), [("damping", True), ("current loop", False)])
-def test_the_hand_of_a_real_log_is_found_through_the_grip_and_tried_in_a_twin(
-    kind: str, in_model: bool, tmp_path: Path
-) -> None:
+def test_the_hand_of_a_real_log_is_found_through_the_grip_and_tried_in_a_twin(kind: str, in_model: bool, tmp_path):
     _, scene = buzzing.pair(kind, Random(5))
     scene["duration"] = 1.5
     buzzing.simulated(scene, tmp_path / "run")

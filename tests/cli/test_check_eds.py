@@ -98,9 +98,7 @@ def test_vendor_drives_without_cyclic_torque_cannot(name: str, vendor_eds: Path,
         ("maxon_epos4.dcf", ["torque", "0x6072"]),
     ],
 )
-def test_conditions_are_what_the_dictionary_leaves_open(
-    name: str, conditions: list[str], vendor_eds: Path, capsys: Captured
-) -> None:
+def test_conditions_are_what_the_dictionary_leaves_open(name: str, conditions: list[str], vendor_eds: Path, capsys):
     status, answer = checked(vendor_eds / name, capsys)
     assert (status, answer["verdict"], answer["reasons"]) == (0, "usable with conditions", [])
     assert [line.split(" ")[0] for line in answer["conditions"]] == conditions
@@ -166,23 +164,6 @@ def started(path: Path, folder: Path, capsys: Captured, *options: str) -> Path:
     return scene
 
 
-def check_and_run(path: Path, folder: Path, capsys: Captured) -> dict[str, Any]:
-    rig = started(path, folder, capsys)
-    assert main(["check", str(rig)]) == 1  # values are marked, and the drives are real
-    simulated = started(path, folder, capsys, "--simulate")
-    assert main(["check", str(simulated)]) == 0
-    capsys.readouterr()
-    assert main(["run", str(simulated), "--duration", "1.4", "--json"]) == 0
-    result: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return result
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("path", [OURS, *(TRAITS / f"{n}_maps.eds" for n in ("fixed", "array"))], ids=lambda p: p.stem)
-def test_a_started_configuration_is_accepted_and_runs(path: Path, tmp_path: Path, capsys: Captured) -> None:
-    assert check_and_run(path, tmp_path, capsys)["ports"]["axis1"]["in"] > 1e-5
-
-
 def test_every_guess_is_marked(tmp_path: Path, capsys: Captured) -> None:
     lines = started(TRAITS / "fixed_maps.eds", tmp_path, capsys).read_text().splitlines()
     marked = [line.split(":")[0].strip() for line in lines if f"# {TO_SET}" in line]
@@ -194,9 +175,7 @@ def test_every_guess_is_marked(tmp_path: Path, capsys: Captured) -> None:
 @pytest.mark.parametrize(
     ("interface", "expected"), [("gs_usb", (200.0, 0.7)), ("slcan", (25.0, 0.7)), ("socketcan", (1000.0, 0.5))]
 )
-def test_rate_and_window_are_those_that_an_adapter_keeps(
-    interface: str, expected: tuple[float, float], tmp_path: Path, capsys: Captured
-) -> None:
+def test_rate_and_window_are_those_that_an_adapter_keeps(interface, expected, tmp_path, capsys) -> None:
     bus = load_scene(started(OURS, tmp_path, capsys, "--interface", interface)).bus
     assert (bus.rate, bus.tpdo_timeout) == expected
     twin = tmp_path / "twin"
@@ -277,9 +256,7 @@ def test_a_path_with_every_awkward_letter_survives(tmp_path: Path, capsys: Captu
     assert "[red]" in "".join(capsys.readouterr().out.split())
 
 
-def test_a_scene_finds_its_dictionary_from_its_own_folder_and_moves_with_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scene_finds_its_dictionary_from_its_own_folder_and_moves_with_it(tmp_path, monkeypatch) -> None:
     for folder in ("rig/drives", "rig/scenes", "elsewhere"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "rig" / "drives" / "x.eds").write_bytes(OURS.read_bytes())
@@ -295,9 +272,7 @@ def test_a_scene_finds_its_dictionary_from_its_own_folder_and_moves_with_it(
         assert yaml.safe_load(scene.text)["axes"][0]["eds"] == "../drives/x.eds"
 
 
-def test_a_printed_scene_finds_its_dictionary_from_any_folder(
-    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_printed_scene_finds_its_dictionary_from_any_folder(tmp_path, capsys, monkeypatch) -> None:
     (tmp_path / "own.eds").write_bytes(OURS.read_bytes())
     (tmp_path / "scenes").mkdir()
     monkeypatch.chdir(tmp_path)
@@ -337,9 +312,7 @@ def displayed(path: Path, capsys: Captured, *options: str) -> tuple[int, dict[st
         ("zeroerr_erob.eds", "0x2205:00/16"),
     ],
 )
-def test_the_analog_input_of_a_make_shows_the_force_of_an_admittance_display(
-    name: str, analog: str, vendor_eds: Path, capsys: Captured
-) -> None:
+def test_the_analog_input_of_a_make_shows_the_force_of_an_admittance_display(name, analog, vendor_eds, capsys) -> None:
     for mode, target in (("velocity", "0x60ff:00/32"), ("position", "0x607a:00/32")):
         status, answer = displayed(vendor_eds / name, capsys, mode)
         assert (status, answer["verdict"]) == (0, "usable with conditions")

@@ -41,9 +41,7 @@ def two(tmp_path: Path) -> Path:
         (("--revision", "1"), 1, "not usable", "0x6071 target torque: missing"),
     ],
 )
-def test_the_revision_decides(
-    two: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], status: int, seen: str, reason: str
-) -> None:
+def test_the_revision_decides(two: Path, capsys, words: tuple[str, ...], status: int, seen: str, reason: str) -> None:
     found = verdict(capsys, two, *words)
     assert found[:2] == (status, seen)
     assert reason in found[2]
@@ -73,9 +71,7 @@ REALS = WORD + entry("#x0x6071", 1, 32, "REAL") + entry("#x0x6071", 2, 32, "REAL
         (f"<RxPdo><Index>5632</Index>{WORD}{entry('24689', 0, 16, 'UINT16')}</RxPdo>", "only the drive can say", "SDO"),
     ],
 )
-def test_what_process_data_alone_say(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], inner: str, seen: str, reason: str
-) -> None:
+def test_what_process_data_alone_say(tmp_path, capsys, inner: str, seen: str, reason: str) -> None:
     path = tmp_path / "drive.xml"
     path.write_text(
         "<EtherCATInfo><Vendor><Id>251</Id></Vendor><Descriptions><Devices><Device><Type ProductCode='7' "

@@ -16,7 +16,7 @@ from canhaptic.cli import commission as commission_command
 from canhaptic.cli.main import main
 from canhaptic.commission.session import Session
 from canhaptic.scene.load import load_scene
-from canhaptic.scene.models import Scene, values_to_set
+from canhaptic.scene.models import Scene
 from tests.commission.whole_session import whole_session
 from tests.forked import command
 
@@ -69,9 +69,7 @@ def felt(scene: Path, capsys: pytest.CaptureFixture[str]) -> float:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("walked_once")
-def test_the_whole_scene_is_written_and_says_what_was_measured(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_whole_scene_is_written_and_says_what_was_measured(capsys, tmp_path) -> None:
     scene = tmp_path / "rig.yaml"
     scene.write_text(Path(DEMO).read_text().replace("0.2 kg     # an", "0.2 kg     # TO SET: an"))
     out = commissioned(scene, tmp_path / "mine.yaml", "--json")
@@ -83,23 +81,6 @@ def test_the_whole_scene_is_written_and_says_what_was_measured(
     assert (
         len(set(kept) - set(out.read_text().splitlines())) <= 5
     )  # node_id, unit, counts_per_unit, rated_torque, bound
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("walked_once")
-def test_no_value_of_a_simulated_drive_is_taken_for_that_of_a_real_one(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    """Every value written is marked, the scale of the torque stays unverified, and a real bus is refused."""
-    scene = tmp_path / "rig.yaml"
-    scene.write_text(Path(DEMO).read_text().replace("# TO SET", "# set"))
-    out = commissioned(scene, tmp_path / "mine.yaml", "--json")
-    found = {value["key"] for value in json.loads(capsys.readouterr().out)["values"]}
-    assert "torque_verified" in found
-    assert "torque_verified: mass" not in out.read_text()
-    real = ["bus.interface=socketcan", "bus.channel=can0", "axes.0.position_reference=absolute"]
-    marked = {guess.key for guess in values_to_set(load_scene(out, real))}
-    assert marked >= {"moving_mass", "current_lag", "device_friction_bound", "handle.torque_verified"}
 
 
 @pytest.mark.parametrize(
@@ -154,9 +135,7 @@ def test_in_place_the_scene_before_is_kept(tmp_path: Path) -> None:
         (["--set", "axes.0.watchdog=false"], "handle: watchdog: OPERATION ENABLED", "handle: watchdog: OPERATION"),
     ],
 )
-def test_an_unfinished_commissioning_writes_what_was_found_and_no_run_takes_it(
-    words: list[str], missing: str, todo: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_an_unfinished_commissioning_writes_what_was_found_and_no_run_takes_it(words, missing, todo, capsys, tmp_path):
     out = tmp_path / "mine.yaml"
     assert main(["commission", DEMO, "--yes", "--duration", "0.1", "--out", str(out), *words]) == 1
     said = capsys.readouterr().err
@@ -189,16 +168,6 @@ def test_a_stopped_commissioning_writes_what_was_found(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["maxon_epos4.dcf", "elmo_gold.dcf", "kollmorgen_rgm.eds", "zeroerr_erob.eds"])
-def test_what_is_written_for_the_drive_of_a_vendor_bounds_its_twin(
-    name: str, vendor_eds: Path, tmp_path: Path
-) -> None:  # that its wall is felt, tests/journeys say
-    rig = tmp_path / "rig.yaml"
-    assert main(["new", str(vendor_eds / name), "--simulate", "--out", str(rig)]) == 0
-    commissioned(rig, tmp_path / "mine.yaml")
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "effects",
     [
@@ -207,9 +176,7 @@ def test_what_is_written_for_the_drive_of_a_vendor_bounds_its_twin(
         "[{type: current_loop, time_constant: 900 us}]",
     ],
 )
-def test_a_late_torque_and_dry_friction_are_bounded_and_the_wall_is_kept(
-    effects: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_late_torque_and_dry_friction_are_bounded_and_the_wall_is_kept(effects: str, capsys, tmp_path) -> None:
     """Nothing of it is declared in the scene: what is derived from the plant is replaced by what was measured."""
     out = commissioned(DEMO, tmp_path / "mine.yaml", "--set", f"simulation.effects={effects}")
     assert felt(out, capsys) >= 0.9

@@ -28,9 +28,7 @@ def bus_log(tmp_path: Path) -> Path:
     return path
 
 
-def test_every_frame_becomes_a_line_and_maps_told_before_the_span_are_known(
-    bus_log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_frame_becomes_a_line_and_maps_told_before_the_span_are_known(bus_log: Path, capsys) -> None:
     assert typed.decode(bus_log, "--from", "1", "--to", "2") == 0
     assert capsys.readouterr().out.splitlines() == [
         "      1.000000 vcan0 T 080                  SYNC",

@@ -24,9 +24,7 @@ EDS = CONFIGS.parent / "eds" / "cia402_servo.eds"
 
 
 @pytest.mark.slow
-def test_a_bundle_of_the_simulated_drive_is_replayed_and_derived_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bundle_of_the_simulated_drive_is_replayed_and_derived_again(tmp_path, monkeypatch, capsys) -> None:
     text = EDS.read_text().replace("CreatedBy=", "CreatedBy=Ada Lovelace ") + "\n"
     (tmp_path / "mine.eds").write_text(text)
     monkeypatch.chdir(tmp_path)
@@ -66,9 +64,7 @@ def test_a_bundle_of_the_simulated_drive_is_replayed_and_derived_again(
     ] == "agrees"
 
 
-def test_no_evidence_of_a_real_drive_without_a_person_or_with_values_to_set(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_evidence_of_a_real_drive_without_a_person_or_with_values_to_set(tmp_path, capsys) -> None:
     scene, out = str(CONFIGS / "socketcan_example.yaml"), tmp_path / "bundle"
     assert main(["evidence", scene, "--out", str(out), "--yes"]) == 2
     assert "values to set" in capsys.readouterr().err
@@ -77,9 +73,7 @@ def test_no_evidence_of_a_real_drive_without_a_person_or_with_values_to_set(
     assert not out.exists()
 
 
-def test_walls_are_shown_before_any_torque_where_the_counts_begin_at_power_on(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_walls_are_shown_before_any_torque_where_the_counts_begin_at_power_on(capsys) -> None:
     sets = ["axes.0.position_reference=at_start", "simulation.plant.initial_position=0.02 m"]
     with build(load_scene(DEMO, sets)) as experiment:
         seen: list[float] = []

@@ -60,9 +60,7 @@ def test_home_prints_the_position_before_and_after(tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.parametrize("no", [0, 1, 2])
-def test_a_no_to_any_question_sends_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sent: list[tuple[int, bytes]], no: int
-) -> None:
+def test_a_no_to_any_question_sends_nothing(tmp_path, monkeypatch, sent: list[tuple[int, bytes]], no: int) -> None:
     person = Person(no)
     monkeypatch.setattr(command, "dialogue_of", lambda *_, **__: person)
     assert main(["commission", "--home", scene(tmp_path, without="6072"), *WORDS]) == 1
@@ -72,9 +70,7 @@ def test_a_no_to_any_question_sends_nothing(
     assert wanted[no] in person.questions[-1]
 
 
-def test_a_signal_in_the_middle_ends_with_its_status_and_zero_torque(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sent: list[tuple[int, bytes]], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_signal_in_the_middle_ends_with_its_status_and_zero_torque(tmp_path, monkeypatch, sent, capsys):
     cycle = homing._cycle
 
     def interrupted(rig: Any) -> float:

@@ -122,10 +122,3 @@ def test_the_findings_of_commissioning_are_shown_whole() -> None:
 def test_piped_output_is_as_wide_as_columns_says(columns: str, width: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", columns)
     assert make_console(file=io.StringIO()).width == width
-
-
-@pytest.mark.slow
-def test_guarded_comes_first_in_a_comparison(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["compare", str(CONFIGS / "paper_fig5_100hz.yaml"), "--duration", "0.1"]) == 0
-    head = next(line for line in capsys.readouterr().out.splitlines() if "guarded" in line)
-    assert head.split()[0] == "guarded"

@@ -78,20 +78,6 @@ def test_a_scene_runs_without_the_values_of_any_part_of_the_dictionary(part: str
     runs(eds, tmp_path)
 
 
-OBJECTS = [name for name in WITH_DEFAULTS if name[:2] in ("10", "14", "60", "65")]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "section",  # one in five, and all of them with the slow tests
-    [pytest.param(name, marks=pytest.mark.slow if n % 5 else []) for n, name in enumerate(OBJECTS)],
-)
-def test_a_scene_runs_without_the_value_of_one_object(section: str, tmp_path: Path) -> None:
-    eds = tmp_path / "drive.eds"
-    eds.write_text(with_entry(OURS, section, "DefaultValue", None))
-    runs(eds, tmp_path)
-
-
 @pytest.mark.slow
 def test_a_scene_runs_for_a_dictionary_with_empty_entries(tmp_path: Path) -> None:
     runs(TRAITS / "empty_entries.eds", tmp_path)
@@ -123,9 +109,7 @@ def test_a_scene_of_an_admittance_display_runs_for_every_vendor_that_can_serve(
     assert account["certificate"] in ("velocity_loop", "exact")
 
 
-def test_the_remedy_of_a_torque_limit_that_is_too_low_does_not_say_lower(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_remedy_of_a_torque_limit_that_is_too_low_does_not_say_lower(tmp_path, capsys) -> None:
     eds = tmp_path / "drive.eds"
     eds.write_text(GENERATED["0x6072 from 200 on"])
     scene = tmp_path / "rig.yaml"
@@ -137,9 +121,7 @@ def test_the_remedy_of_a_torque_limit_that_is_too_low_does_not_say_lower(
     assert "lower torque_limit" not in err
 
 
-def test_a_scene_of_guesses_says_what_it_does_not_render_and_what_helps(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scene_of_guesses_says_what_it_does_not_render_and_what_helps(tmp_path, capsys) -> None:
     eds = REPOSITORY / "eds" / "cia402_servo.eds"
     for words, is_said in (([], True), (["--simulate"], False)):
         assert main(["new", str(eds), *words, "--out", str(tmp_path / f"{len(words)}.yaml")]) == 0

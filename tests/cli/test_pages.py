@@ -156,9 +156,7 @@ def test_a_visitor_who_left_does_not_shut_the_page_for_the_next() -> None:
 
 
 @pytest.mark.slow
-def test_the_command_line_of_the_browser_does_not_tell_the_secret(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_line_of_the_browser_does_not_tell_the_secret(tmp_path, monkeypatch) -> None:
     """Every user of a computer reads the command lines of all the others."""
     browser, told = tmp_path / "browser", tmp_path / "told"
     browser.write_text(f'#!/bin/sh\nprintf %s "$1" > {told}.new\nmv {told}.new {told}\n')

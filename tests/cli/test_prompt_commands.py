@@ -2,7 +2,6 @@
 
 import argparse
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -36,19 +35,6 @@ def test_help_imports_nothing_that_a_command_needs_to_work() -> None:
     done = subprocess.run([sys.executable, "-c", program, "", *COMMANDS], capture_output=True, text=True, check=True)
     assert done.stderr.splitlines() == [f"{command} []" for command in ("", *COMMANDS)]
     assert done.stdout.count("usage: canhaptic") == 1 + len(COMMANDS)
-
-
-def cpu(*words: str) -> float:
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run([sys.executable, *words], check=True, capture_output=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-
-@pytest.mark.slow
-def test_help_takes_no_more_than_three_times_the_import_of_numpy() -> None:
-    numpy = min(cpu("-c", "import numpy") for _ in range(3))
-    assert min(cpu("-m", "canhaptic", "sweep", "--help") for _ in range(3)) <= 3.0 * numpy
 
 
 def test_defaults_in_the_help_are_those_of_the_code() -> None:

@@ -15,17 +15,13 @@ from canhaptic.scene.load import load_scene
 
 
 @pytest.mark.parametrize("name", ["demo", "demo.yaml", "configs/demo.yaml"])
-def test_a_scene_of_the_package_is_found_by_its_name_from_any_folder(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scene_of_the_package_is_found_by_its_name_from_any_folder(name: str, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert load_scene(name).config_hash() == load_scene(shipped("configs") / "demo.yaml").config_hash()
 
 
 @pytest.mark.slow
-def test_every_scene_is_found_by_its_whole_name_and_by_a_short_one_that_no_other_has(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_scene_is_found_by_its_whole_name_and_by_a_short_one_that_no_other_has(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     names = scene_names()
     last = [name.split("/")[-1] for name in names]
@@ -51,9 +47,7 @@ def test_a_file_on_disk_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         ("zzzzzz", "`canhaptic configs` lists the scenes"),
     ],
 )
-def test_a_name_that_no_scene_has_is_answered_by_near_ones(
-    wrong: str, answer: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_name_that_no_scene_has_is_answered_by_near_ones(wrong: str, answer: str, capsys) -> None:
     assert main(["check", wrong]) == 2
     assert answer in capsys.readouterr().err
 
@@ -68,9 +62,7 @@ def test_the_command_alone_prints_help_in_the_order_of_a_user(capsys: pytest.Cap
 
 
 @pytest.mark.parametrize(("wrong", "answer"), [("rnu", "did you mean 'run'"), ("xyz", "see --help")])
-def test_a_command_that_is_mistyped_is_answered_by_near_ones(
-    wrong: str, answer: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_that_is_mistyped_is_answered_by_near_ones(wrong: str, answer: str, capsys) -> None:
     with pytest.raises(SystemExit, match="2"):
         main([wrong, "demo"])
     assert answer in capsys.readouterr().err

@@ -67,9 +67,7 @@ def test_no_fault_says_its_prefix_twice_or_names_a_class(words: list[str], capsy
         ("more", ""),
     ],
 )
-def test_an_unknown_option_is_refused_with_what_it_may_mean(
-    word: str, meant: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_option_is_refused_with_what_it_may_mean(word: str, meant: str, capsys) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(["check", DEMO, word])
     assert capsys.readouterr().err.splitlines()[-1] == f"canhaptic: error: unrecognized arguments: {word}{meant}"
@@ -114,9 +112,7 @@ sys.exit(main(sys.argv[2:]))
         ),
     ],
 )
-def test_what_is_not_installed_is_found_before_the_work(
-    library: str, extra: str, words: list[str], tmp_path: Path
-) -> None:
+def test_what_is_not_installed_is_found_before_the_work(library: str, extra: str, words: list[str], tmp_path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", HIDDEN, library, *words], cwd=tmp_path, capture_output=True, text=True, timeout=60,
         check=False, env={**os.environ, "PYTHONPATH": str(CONFIGS.parent)},
@@ -139,9 +135,7 @@ def test_what_is_not_installed_is_found_before_the_work(
          "pip install 'canhaptic[plot] @ https://host/canhaptic.whl'"),
     ],
 )  # fmt: skip
-def test_the_hint_installs_from_where_the_package_came(
-    origin: dict[str, Any] | None, hint: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_hint_installs_from_where_the_package_came(origin: dict[str, Any] | None, hint: str, monkeypatch) -> None:
     text = None if origin is None else json.dumps(origin)
     installed = SimpleNamespace(read_text={"direct_url.json": text}.get)
     monkeypatch.setattr(metadata, "distribution", lambda _: installed)

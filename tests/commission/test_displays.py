@@ -61,25 +61,6 @@ def test_a_wrong_sign_fails(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["values"]["admittance.force.per_count"] == "-0.01 N"
 
 
-@pytest.mark.slow
-def test_friction_is_measured_and_judged_where_it_is_declared(capsys: pytest.CaptureFixture[str]) -> None:
-    rough = "simulation.effects=[{type: coulomb_friction, kinetic: 3 N, static: 3.2 N}]"
-    status, found = _commissioned(capsys, rough, "passivity.drive_friction=0.5")
-    assert status == 1
-    assert float(found["friction of the drive"]["found"].split()[0]) == pytest.approx(3.0, rel=0.1)
-    assert found["values"]["passivity.drive_friction"].startswith("3.")
-
-
-@pytest.mark.slow
-def test_the_axes_of_a_group_are_compared_with_what_the_group_declares(capsys: pytest.CaptureFixture[str]) -> None:
-    scene = str(Path(SCENE).with_name("guided_path.yaml"))
-    assert main(["commission", scene, "--yes", "--json"]) == 0
-    assert {value["key"] for value in json.loads(capsys.readouterr().out)["values"]} == {"settings_checked"}
-    assert main(["commission", scene, "--yes", "--json", "--set", "simulation.plant.mass=3"]) == 1
-    comments = [value["comment"] for value in json.loads(capsys.readouterr().out)["values"]]
-    assert any("in the group stage" in comment for comment in comments)
-
-
 def test_a_stop_while_the_drive_moves_leaves_the_loop_untried() -> None:
     session = Session(load_scene(SCENE), Unattended(lambda _: None), CommissioningLimits(), lambda: True)
     with session.rig_of(with_hand=True):

@@ -99,9 +99,7 @@ def test_each_row_says_what_was_declared_and_agrees_where_it_is_an_over_estimate
     assert right.hands == [False, True]
 
 
-def test_a_hand_may_push_the_display_three_times_as_far_as_a_torque_and_the_chirp_ends_with_two_cycles(
-    right: PlayedSession,
-) -> None:
+def test_a_hand_may_push_the_display_three_times_as_far_as_a_torque_and_the_chirp_ends_with_two_cycles(right):
     _, speeds, cycles, travels = right.played[-1]
     assert (cycles, travels) == (len(speeds) + 2, 3.0)
 

@@ -93,9 +93,7 @@ def test_what_is_late_by_whole_holds_is_no_lag(late: int, holds: list[HoldTimes]
     assert session.reported == [hold_of(late, 0.3)]  # type: ignore[attr-defined]
 
 
-def test_a_lateness_that_no_hold_explains_is_a_lag_with_a_margin_and_its_uncertainty(
-    holds: list[HoldTimes], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lateness_that_no_hold_explains_is_a_lag_with_a_margin_and_its_uncertainty(holds, monkeypatch):
     holds += [hold_of(0, 0.3)]
     monkeypatch.setattr(mass_and_friction, "estimate_lateness", lambda *_: (200e-6, 10e-6))
     session = timed(0)
@@ -107,9 +105,7 @@ def test_a_lateness_that_no_hold_explains_is_a_lag_with_a_margin_and_its_uncerta
     )
 
 
-def test_a_check_at_the_start_replaces_what_an_older_one_said_in_the_scene_that_is_logged(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_check_at_the_start_replaces_what_an_older_one_said_in_the_scene_that_is_logged(monkeypatch) -> None:
     monkeypatch.setattr(mass_and_friction, "time_the_torque", lambda *_: None)
     asked = ("axes.0.check_hold=each_start", "axes.0.hold_checked=older")
     scene = checked_holds(load_scene(DEMO, list(asked)), lambda _: None, lambda: False)
@@ -143,9 +139,7 @@ def test_before_a_real_drive_moves_the_stop_is_looked_at_twenty_times_a_second(m
     assert max(after - before for before, after in pairwise(looks)) <= 50_000_000
 
 
-def test_a_declared_lag_that_covers_what_is_not_excluded_is_kept(
-    holds: list[HoldTimes], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_declared_lag_that_covers_what_is_not_excluded_is_kept(holds: list[HoldTimes], monkeypatch) -> None:
     holds += [hold_of(0, 0.3)]
     monkeypatch.setattr(mass_and_friction, "estimate_lateness", lambda *_: (0.0, 10e-6))
     session = timed(0, "passivity.current_lag=100 us")

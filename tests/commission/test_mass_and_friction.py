@@ -183,9 +183,7 @@ FALLING = {speed: StribeckFriction(kinetic=0.5, static=1.0, stribeck_velocity=sp
 @pytest.mark.parametrize("damping", [0.0, 0.5])
 @pytest.mark.parametrize("amplitude", [1.2, 2.0, 4.0])
 @pytest.mark.parametrize("friction", [COULOMB, FALLING[0.005], FALLING[0.02]])
-def test_mass_and_least_friction_are_those_of_the_plant_whatever_its_law(
-    friction: Effect, amplitude: float, damping: float, count: float
-) -> None:
+def test_mass_and_least_friction_are_those_of_the_plant_whatever_its_law(friction: Effect, amplitude, damping, count):
     """0.5 N brakes at every speed, viscous friction comes on top; nothing of it is beyond the plant's."""
     record = (*swept(amplitude, damping, friction, count), TIME, 20)
     found, curve = estimate(*record), friction_curve(*record)
@@ -206,9 +204,7 @@ def test_mass_and_least_friction_are_those_of_the_plant_whatever_its_law(
 
 @pytest.mark.parametrize("late", [-1.0, 0.3, 2.0])
 @pytest.mark.parametrize("friction", [None, COULOMB])
-def test_a_swept_mass_and_its_friction_do_not_depend_on_when_the_torque_acts(
-    late: float, friction: Effect | None
-) -> None:
+def test_a_swept_mass_and_its_friction_do_not_depend_on_when_the_torque_acts(late: float, friction: Effect | None):
     positions, torques = swept(4.0, 5.0, friction, 1e-5)
     holds = np.arange(len(torques)) + late
     booked = np.interp(holds, np.arange(len(torques)), torques, left=0.0, right=0.0)

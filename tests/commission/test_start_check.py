@@ -32,16 +32,6 @@ def checked(*overrides: str) -> tuple[Scene, list[str]]:
 
 
 @pytest.mark.slow
-def test_a_hold_that_agrees_is_in_the_account_of_the_run() -> None:
-    scene, said = checked()
-    assert said[0].startswith("handle: hands off. check_hold: reversals of 0.97 N")
-    with build(scene) as experiment:
-        run(experiment.cycle, 2)
-        port = experiment_account(experiment, "completed", 1.0)["ports"]["handle"]
-    assert port["hold"] == "checked at this start"
-
-
-@pytest.mark.slow
 def test_logs_of_a_run_say_what_its_check_said(tmp_path: Path) -> None:
     scene, _ = checked("duration=0.3")
     energy, bus = tmp_path / "energy.h5", tmp_path / "bus.log"
@@ -85,9 +75,7 @@ def test_a_hold_that_nothing_tells_leaves_no_yes_by_certificate(monkeypatch: pyt
 
 
 @pytest.mark.slow
-def test_a_run_without_torque_or_without_the_key_checks_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_without_torque_or_without_the_key_checks_nothing(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(torque_tests, "checked_holds", lambda *_: pytest.fail("it moved the handle"))
     for words in (["--set", ASKED, "--no-torque"], []):
         parser = argparse.ArgumentParser()

@@ -304,9 +304,7 @@ def test_an_axis_that_does_not_move_has_an_unclear_mass_and_names_the_limit_to_r
         assert f"raise {limit}" in row(session, "moving mass").text
 
 
-def test_where_no_friction_by_speed_is_known_the_least_one_stays_open_and_not_the_mass(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_where_no_friction_by_speed_is_known_the_least_one_stays_open_and_not_the_mass(monkeypatch) -> None:
     monkeypatch.setattr(mass_and_friction, "friction_curve", lambda *_: None)
     session = swept()
     assert row(session, "dry friction, least").text.startswith("too little motion in both directions")
@@ -344,9 +342,7 @@ def test_a_torque_that_acts_late_on_a_damped_mass_gives_its_scale_all_the_same()
     assert row(session, SCALE).verdict is StepVerdict.DIFFERS
 
 
-def test_a_torque_that_acts_late_on_a_damped_mass_makes_no_mass_too_large_to_declare(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_torque_that_acts_late_on_a_damped_mass_makes_no_mass_too_large_to_declare(monkeypatch) -> None:
     """The mass of 0.25 kg would be found as 0.275."""
     monkeypatch.setattr(mass_and_friction, "time_the_torque", lambda *_: (0.008, 1e-5))
     late = LateMass(MASS, 0.008, 1e-6)
@@ -419,9 +415,7 @@ class TimedSession(PlayedSession):
 @pytest.mark.parametrize(
     ("pace", "declared", "proposed"), [("free", 0.03, 0.03), ("free", 0.0, 0.01), ("real", 0.03, 0.05)]
 )
-def test_the_jitter_to_declare_is_twice_what_was_seen_where_a_clock_ran(
-    pace: str, declared: float, proposed: float
-) -> None:
+def test_the_jitter_to_declare_is_twice_what_was_seen_where_a_clock_ran(pace: str, declared: float, proposed: float):
     session = TimedSession(scene_of(f"passivity.sync_jitter={declared}"), [Still()])
     session.pace = pace
     time_the_cycle(session, 0.5)

@@ -89,9 +89,7 @@ def test_a_hold_of_three_sample_times_costs_its_windows_and_not_the_lag() -> Non
     count=st.sampled_from([1e-6, 1e-5, 5e-5]),
     offset=st.floats(0.0, 5e-5),
 )
-def test_what_would_be_declared_bounds_the_lag(
-    lag: float, damping: float, friction: str, count: float, offset: float
-) -> None:
+def test_what_would_be_declared_bounds_the_lag(lag: float, damping: float, friction: str, count: float, offset: float):
     late, error = measured(lag if lag > 1e-6 else 0.0, damping, friction, count, offset)
     assert lag <= mass_and_friction._OVER * (max(0.0, late) + SURE * error) + 1e-6
 
@@ -103,18 +101,6 @@ def timed(*overrides: str) -> tuple[Session, Answers]:
     with session.rig_of(with_hand=False):
         time_the_torque(session, 0, 1.0, MASS, {})
     return session, said
-
-
-LAG = "simulation.effects=[{{type: current_loop, time_constant: {} us}}]"
-
-
-@pytest.mark.slow
-def test_a_lag_below_what_is_resolved_keeps_what_is_configured() -> None:
-    session, _ = timed("passivity.current_lag=100 us")
-    found = row(session.report, "torque lag")
-    assert "not measurable (resolution" in found.found
-    assert found.text == "configured value kept"
-    assert [found.value for found in session.report.values if found.key == "passivity.current_lag"] == [None]
 
 
 @pytest.mark.slow

@@ -99,9 +99,7 @@ def test_a_hold_is_named_where_one_alone_is_possible(low: float, high: float, ho
 
 @pytest.mark.slow
 @given(st.floats(0.05, 2.0), st.floats(0.0, 2.0), st.sampled_from([None, (0.3, 0.05), (1.2, 0.2)]))
-def test_the_response_to_a_step_is_that_of_the_differential_equations(
-    lag: float, begin: float, mode: tuple[float, float] | None
-) -> None:
+def test_the_response_to_a_step_is_that_of_the_differential_equations(lag, begin, mode) -> None:
     """Runge-Kutta of lag' = (1 - torque) / lag, and of a mass or an oscillator that the torque drives."""
     root, damping = mode or (0.0, 0.0)
 
@@ -169,9 +167,7 @@ AGREES, DIFFERS, FAILED = StepVerdict.AGREES, StepVerdict.DIFFERS, StepVerdict.F
     ],
     ids=["right", "early", "late", "later", "late_declared", "late_untrue", "after", "late_after", "before", "event"],
 )  # fmt: skip
-def test_motion_is_timed_against_the_commands_and_the_read_back_separately(
-    overrides: tuple[str, ...], expected: list[StepVerdict], proposed: dict[str, str]
-) -> None:
+def test_motion_is_timed_against_the_commands_and_the_read_back_separately(overrides, expected, proposed):
     session, _ = timed(*overrides)
     report = session.report
     assert verdicts(report) == expected
@@ -251,6 +247,7 @@ def test_a_check_of_the_hold_is_of_the_drive_that_was_tried(serial: int, *, is_c
         assert said == ("checked at commissioning" if expected else "not checked")
 
 
+@pytest.mark.slow
 def test_a_motion_that_is_none_of_the_models_is_found_and_said_to_be_unexplained() -> None:
     """Each reversal is followed by a kick that no torque gave."""
     torques = np.concatenate([np.zeros(5), reversals(1.0, 16, 12), np.zeros(6)])

@@ -37,9 +37,7 @@ def _folder(place: Path, **met: bool) -> Path:
     return place
 
 
-def test_a_missed_row_without_a_reason_and_a_reason_without_a_row_are_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missed_row_without_a_reason_and_a_reason_without_a_row_are_named(tmp_path, capsys) -> None:
     assert make_missed.main(["--check", str(_folder(tmp_path, new_row=False, other=True))]) == 1
     assert capsys.readouterr().out.splitlines() == [
         "missed, no reason: cycle: new row",

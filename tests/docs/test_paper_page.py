@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import pytest
 
@@ -52,9 +51,7 @@ def test_the_source_has_no_measured_number_of_its_own() -> None:
         ("[[test:control/test_root.py:test_no_such]]", "has no 'test_no_such'"),
     ],
 )
-def test_a_mark_that_points_at_nothing_is_refused(
-    mark: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mark_that_points_at_nothing_is_refused(mark: str, said: str, tmp_path, monkeypatch) -> None:
     source = tmp_path / "paper_page.md"
     source.write_text(f"It is {mark}.\n", encoding="utf-8")
     monkeypatch.setattr(make_paper_page, "SOURCE", source)

@@ -46,9 +46,7 @@ def test_the_figures_of_the_traps_of_today_are_the_committed_ones() -> None:
 @pytest.mark.parametrize(
     ("name", "damping", "wall", "amplitude"), [("fig4", 5.0, 0.0, 0.1), ("fig8", 10.0, -0.05, 0.15)]
 )
-def test_the_continuous_wall_of_the_pictures_is_that_of_an_ode_solver(
-    name: str, damping: float, wall: float, amplitude: float
-) -> None:
+def test_the_continuous_wall_of_the_pictures_is_that_of_an_ode_solver(name, damping, wall, amplitude) -> None:
     taken = runs(name)["no_delay"]
     times = taken.reference.fine_time
     position, torque = continuous(user_f(amplitude), 100.0, damping, wall, times)

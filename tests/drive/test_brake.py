@@ -9,7 +9,7 @@ from canhaptic.canopen.attached_devices import Brake
 from canhaptic.canopen.objects import DataType
 from canhaptic.errors import DictionaryError, StartError
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from tests.drive.drive_bench import OUR_EDS, Bench, FreeMass, MakeBench, axis
+from tests.drive.drive_bench import OUR_EDS, Bench, FreeMass, MakeBench, axis, started
 
 WEIGHT = 5.0  # [N] of 1 kg in a field of 5 N/kg, so that 8 N hold it
 TIMES = {"release_time": 0.03, "set_time": 0.05, "holds_weight": WEIGHT}
@@ -88,9 +88,7 @@ def test_no_torque_of_the_controller_counts_before_the_brake_is_open(bench: Make
     assert set(b.torques_sent()) == {0}
 
 
-def test_the_declared_weight_and_not_the_last_torque_is_kept_until_the_brake_holds(
-    bench: MakeBench, tmp_path: Path
-) -> None:
+def test_the_declared_weight_and_not_the_last_torque_is_kept_until_the_brake_holds(bench: MakeBench, tmp_path) -> None:
     b = hung(bench, Brake(by="host", output=16, **TIMES), eds=with_outputs(tmp_path))
     b.rig.start()
     b.run(100, WEIGHT)
@@ -146,9 +144,7 @@ def left_enabled(bench: MakeBench, brake: Brake, outputs: int | None = None, **v
     ("output", "released", "set_", "opened"),
     [(16, None, OTHERS & ~0x10000, OTHERS | 0x10000), (16, 0, OTHERS | 0x10000, OTHERS), (0, 0, OTHERS, OTHERS & ~1)],
 )
-def test_the_brake_is_the_first_write_and_the_disable_waits_for_it(
-    bench: MakeBench, tmp_path: Path, output: int, released: int | None, set_: int, opened: int
-) -> None:
+def test_the_brake_is_the_first_write_and_the_disable_waits_for_it(bench, tmp_path, output, released, set_, opened):
     brake = Brake(by="host", output=output, released=released, **TIMES)
     b = left_enabled(bench, brake, OTHERS, eds=with_outputs(tmp_path))
     held, begin = b.drives[0].servo.motor.position, len(b.frames)
@@ -185,9 +181,7 @@ def test_a_drive_that_works_its_brake_holds_the_weight_until_it_does(bench: Make
     assert b.drives[0].servo.motor.position == pytest.approx(held, abs=2e-5)
 
 
-def test_without_an_answer_of_the_outputs_none_of_them_is_written_also_at_the_stop(
-    bench: MakeBench, tmp_path: Path
-) -> None:
+def test_without_an_answer_of_the_outputs_none_of_them_is_written_also_at_the_stop(bench: MakeBench, tmp_path) -> None:
     b = hung(bench, Brake(by="host", output=16, **TIMES), eds=with_outputs(tmp_path))
     b.rig.start()
     b.rig.stop()  # this start read them
@@ -201,8 +195,7 @@ def test_without_an_answer_of_the_outputs_none_of_them_is_written_also_at_the_st
 
 def test_a_drive_that_the_start_has_not_reached_is_left_to_hold_its_weight(bench: MakeBench, tmp_path: Path) -> None:
     brake = Brake(by="host", output=16, **TIMES)
-    b = bench([axis(n, brake=brake, eds=with_outputs(tmp_path), watchdog=False) for n in (5, 6)])
-    b.rig.start()
+    b = started(bench, [axis(n, brake=brake, eds=with_outputs(tmp_path), watchdog=False) for n in (5, 6)])
     b.run(100, WEIGHT)
     begin = len(b.frames)
     b.tampered.on_receive = lambda frame: None if bytes(frame.data[1:4]) == b"\xfe\x60\x01" else frame

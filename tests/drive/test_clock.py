@@ -16,7 +16,7 @@ from canhaptic.drive.rig import Rig
 from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.drive.can.drive_node import DrivesOnBus, SimulatedDrive
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from tests.drive.drive_bench import FreeMass, MakeBench, axis, dictionary, make_bench, private_channel
+from tests.drive.drive_bench import FreeMass, MakeBench, axis, dictionary, make_bench, private_channel, started
 
 MS = 1_000_000
 
@@ -77,9 +77,7 @@ def test_receiving_ends_at_the_deadline_and_not_before(pair: tuple[can.BusABC, c
     assert clock.now() == 10 * MS
 
 
-def test_a_drive_with_nothing_due_is_not_asked_again_after_time_has_jumped(
-    pair: tuple[can.BusABC, can.BusABC],
-) -> None:
+def test_a_drive_with_nothing_due_is_not_asked_again_after_time_has_jumped(pair: tuple[can.BusABC, can.BusABC]) -> None:
     class Counted(Metronome):
         calls = 0
 
@@ -148,9 +146,7 @@ class SlowMachine:
 
 
 @pytest.mark.parametrize("far_sides", [0, 1])
-def test_a_real_wait_sleeps_once_for_each_thing_due_and_spins_the_rest(
-    monkeypatch: pytest.MonkeyPatch, far_sides: int
-) -> None:
+def test_a_real_wait_sleeps_once_for_each_thing_due_and_spins_the_rest(monkeypatch, far_sides: int) -> None:
     for waits_on_bus in (False, True):
         machine, far_side = SlowMachine(), Metronome()
         monkeypatch.setattr("canhaptic.drive.clock.time", machine)
@@ -166,9 +162,7 @@ def test_a_real_wait_sleeps_once_for_each_thing_due_and_spins_the_rest(
 
 
 @pytest.mark.slow
-def test_a_frame_from_elsewhere_ends_a_real_wait_though_a_drive_lives_in_this_thread(
-    pair: tuple[can.BusABC, can.BusABC],
-) -> None:
+def test_a_frame_from_elsewhere_ends_a_real_wait_though_a_drive_lives_in_this_thread(pair):
     clock = WallClock([Metronome()])
     sender = threading.Timer(0.01, pair[1].send, [can.Message(arbitration_id=0x123, is_extended_id=False)])
     sender.start()
@@ -307,8 +301,7 @@ def test_durations_have_quantiles_to_a_microsecond_and_an_exact_maximum() -> Non
 
 
 def test_a_hold_is_uneven_by_what_it_differs_from_its_sample_times(bench: MakeBench) -> None:
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     b.run(3)
     assert (b.rig.uneven, b.rig.periods) == (0, 1)
     b.clock.wait_until(b.clock.now() + 1_200_000)  # after the SYNC due at 1 ms

@@ -19,9 +19,7 @@ from tests.drive.drive_bench import MakeBench, axis, started
 @pytest.mark.slow_but("actual-synchronous-2", "none-event-1", "demand-synchronous-2")
 @pytest.mark.parametrize(("rpdo", "delay"), [("synchronous", 2), ("event", 1)])
 @pytest.mark.parametrize("read_back", ["demand", "actual", "none"])
-def test_a_torque_is_reported_for_exactly_the_holds_in_which_it_acted(
-    bench: MakeBench, rpdo: str, delay: int, read_back: str
-) -> None:
+def test_a_torque_is_reported_for_exactly_the_holds_in_which_it_acted(bench: MakeBench, rpdo, delay, read_back) -> None:
     b = started(bench, [axis(read_back=read_back)], bus={"rpdo": rpdo})
     commands, samples = [0.5 * k for k in range(1, 9)], []
     for command in commands:
@@ -34,9 +32,7 @@ def test_a_torque_is_reported_for_exactly_the_holds_in_which_it_acted(
 @pytest.mark.slow_but("none-before_update", "actual-after_update", "demand-before_update")
 @pytest.mark.parametrize("twin", ["before_update", "after_update"])
 @pytest.mark.parametrize("read_back", ["demand", "actual", "none"])
-def test_of_a_drive_that_acts_a_sync_late_every_hold_is_booked_with_its_own_torque(
-    bench: MakeBench, read_back: str, twin: str
-) -> None:
+def test_of_a_drive_that_acts_a_sync_late_every_hold_is_booked_with_its_own_torque(bench: MakeBench, read_back, twin):
     late = axis(read_back=read_back, quirks=("acts_a_sync_late",), demand_reported=twin.partition("_")[0])
     b = started(bench, [late], drive_values={"syncs_late": 1, "torque_read_back": twin})
     commands, samples, acted = [0.5 * k for k in range(1, 9)], [], []
@@ -275,13 +271,6 @@ def test_two_runs_give_the_same_frames_at_the_same_times(bench: MakeBench) -> No
         b.rig.stop()
         runs.append(b.frames)
     assert runs[0] == runs[1]
-
-
-def test_the_limiter_cuts_what_the_controller_asks_for(bench: MakeBench) -> None:
-    b = started(bench, [axis(torque_limit=3.0)])
-    b.run(4, torque=5.0)
-    assert b.rig.drives[0].limiter.last == 3.0
-    assert b.torques_sent()[-1] == 300
 
 
 def test_no_frame_ever_carries_more_than_the_torque_limit(bench: MakeBench) -> None:

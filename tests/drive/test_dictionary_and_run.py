@@ -7,7 +7,6 @@ gate of the master is taken away for it, so that each verdict is formed without 
 import re
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 
 import pytest
 
@@ -67,9 +66,7 @@ def comes_up(made: Callable[[], Bench]) -> str:
 @pytest.mark.slow_but("1600sub1-4", "6072-4", "6040-4")
 @pytest.mark.parametrize("step", [4, pytest.param(1, marks=pytest.mark.slow)])  # all of them: 11 s of a processor
 @pytest.mark.parametrize("section", [*NEEDED, *dict.fromkeys(f"value of {section}" for section, _ in VALUES)])
-def test_verdict_and_run_agree_on_every_change_of_an_object(
-    bench: MakeBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, section: str, step: int
-) -> None:
+def test_verdict_and_run_agree_on_every_change_of_an_object(bench: MakeBench, tmp_path, monkeypatch, section, step):
     monkeypatch.setattr("canhaptic.drive.can.servo_drive.require_fit", lambda *_: None)
     path = tmp_path / "changed.eds"
     disagreed = []

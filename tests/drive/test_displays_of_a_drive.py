@@ -149,9 +149,7 @@ def test_without_a_period_the_interpolation_in_milliseconds_is_what_a_dictionary
     assert refused.verdict is Verdict.REFUSED
 
 
-def test_a_target_position_that_could_not_be_sent_is_not_added_to(
-    buses: list[can.BusABC], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_target_position_that_could_not_be_sent_is_not_added_to(buses: list[can.BusABC], monkeypatch) -> None:
     def refuse(*_: object) -> None:
         raise can.CanOperationError("no buffer space")
 

@@ -22,9 +22,7 @@ def test_the_sample_time_is_a_whole_number_of_nanoseconds(rate: Any, sample_time
 @pytest.mark.parametrize(
     ("rate", "cycles", "silence_ms"), [(1000.0, 20, 100), (100.0, 2, 100), (40.0, 1, 100), (5.0, 1, 600)]
 )
-def test_the_heartbeat_is_counted_in_syncs_and_three_are_always_granted(
-    rate: float, cycles: int, silence_ms: int
-) -> None:
+def test_the_heartbeat_is_counted_in_syncs_and_three_are_always_granted(rate: float, cycles: int, silence_ms: int):
     bus = CanBusParameters(rate=rate)
     assert (bus.heartbeat_cycles, bus.master_silence_ns) == (cycles, silence_ms * 1_000_000)
 

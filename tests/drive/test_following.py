@@ -1,7 +1,5 @@
 """What the drive says of the torque it gives: bits 11 and 12 of the statusword, and a measured torque that stays."""
 
-from typing import Any
-
 import can
 import pytest
 
@@ -16,7 +14,7 @@ from canhaptic.errors import (
     TorqueLimitedError,
 )
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from tests.drive.drive_bench import Bench, MakeBench, axis
+from tests.drive.drive_bench import Bench, MakeBench, axis, started
 
 LIMITED, FOLLOWS = int(StatusBit.INTERNAL_LIMIT), int(StatusBit.FOLLOWS_COMMAND)
 HOLD, STOP = 2, 20
@@ -45,9 +43,7 @@ def is_without_torque(b: Bench) -> bool:
 
 
 @pytest.mark.parametrize("read_back", ["demand", "actual", "none"])
-def test_a_drive_that_follows_no_more_stops_the_rig_when_the_patience_of_a_lost_frame_is_over(
-    bench: MakeBench, read_back: str
-) -> None:
+def test_a_drive_that_follows_no_more_stops_the_rig_when_the_patience_of_a_lost_frame_is_over(bench, read_back):
     b = bench([axis(read_back=read_back)])
     tampered = Tampered(b)
     b.rig.start()
@@ -114,9 +110,7 @@ def test_a_limit_that_is_read_back_is_recorded_and_stops_nothing(bench: MakeBenc
 @pytest.mark.slow_but("0.5-demand", "0.0-actual", "-2.0-demand")
 @pytest.mark.parametrize("read_back", ["demand", "actual"])
 @pytest.mark.parametrize("commanded", [0.5, 0.0, -2.0])
-def test_a_limit_explains_no_torque_that_is_larger_or_turned(
-    bench: MakeBench, read_back: str, commanded: float
-) -> None:
+def test_a_limit_explains_no_torque_that_is_larger_or_turned(bench: MakeBench, read_back: str, commanded: float):
     """Bit 11 is on, and the drive holds an old torque: a limit can only make a torque smaller."""
     b = bench([axis(read_back=read_back)])
     tampered = Tampered(b)
@@ -164,8 +158,7 @@ def test_a_limit_that_is_on_at_the_start_is_not_judged(bench: MakeBench) -> None
 
 
 def test_leaving_the_state_counts_at_once_though_bit_12_goes_with_it(bench: MakeBench) -> None:
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     b.run(5, torque=1.0)
     b.buses[0].send(can.Message(arbitration_id=0x605, is_extended_id=False, data=bytes.fromhex("2b40600006000000")))
     with pytest.raises(StateLeftError, match="STATE_LEFT"):
@@ -176,8 +169,7 @@ def test_leaving_the_state_counts_at_once_though_bit_12_goes_with_it(bench: Make
 
 
 def test_a_measured_torque_that_stays_constant_while_commands_change_stops_the_rig(bench: MakeBench) -> None:
-    b = bench([axis(read_back="actual")])
-    b.rig.start()
+    b = started(bench, [axis(read_back="actual")])
     b.run(10, torque=3.0)
     b.tampered.on_send = lambda message: None if message.arbitration_id == 0x205 else message
     begin = b.clock.now()
@@ -216,8 +208,7 @@ def test_a_measured_torque_that_wanders_is_no_lost_command_but_contradicts_them(
 
 
 def test_commands_near_the_old_one_tell_nothing_and_forget_nothing(bench: MakeBench) -> None:
-    b = bench([axis(read_back="actual", torque_tolerance=0.02)])
-    b.rig.start()
+    b = started(bench, [axis(read_back="actual", torque_tolerance=0.02)])
     b.run(10, torque=3.0)
     b.tampered.on_send = lambda message: None if message.arbitration_id == 0x205 else message
     b.run(60, torque=3.3)  # 30 counts away: not more than twice 20
@@ -230,8 +221,7 @@ def test_commands_near_the_old_one_tell_nothing_and_forget_nothing(bench: MakeBe
 
 
 def test_a_lost_rpdo_that_nothing_tells_of_is_ended_by_the_drives_own_deadline(bench: MakeBench) -> None:
-    b = bench([axis(read_back="none")])
-    b.rig.start()
+    b = started(bench, [axis(read_back="none")])
     writes = [data.hex() for data in b.sent(0x605) if data[1:4] == bytes.fromhex("001405")]
     assert writes == ["4000140500000000", "2b00140564000000", "4000140500000000"]  # 100 ms, read back
     b.run(10, torque=3.0)
@@ -244,17 +234,13 @@ def test_a_lost_rpdo_that_nothing_tells_of_is_ended_by_the_drives_own_deadline(b
 
 
 @pytest.mark.parametrize("values", [{"read_back": "demand"}, {"read_back": "none", "watchdog": False}])
-def test_a_drive_whose_torque_is_read_back_or_that_has_no_watchdog_keeps_its_deadline(
-    bench: MakeBench, values: dict[str, Any]
-) -> None:
-    b = bench([axis(**values)])
-    b.rig.start()
+def test_a_drive_whose_torque_is_read_back_or_that_has_no_watchdog_keeps_its_deadline(bench: MakeBench, values) -> None:
+    b = started(bench, [axis(**values)])
     assert not [data for data in b.sent(0x605) if data[0] != 0x40 and data[1:4] == bytes.fromhex("001405")]
 
 
 def test_the_deadline_is_no_fault_of_a_run_that_goes_well(bench: MakeBench) -> None:
-    b = bench([axis(read_back="none")])
-    b.rig.start()
+    b = started(bench, [axis(read_back="none")])
     b.run(300, torque=0.1)
     b.rig.stop()
     assert b.drives[0].state is DriveState.SWITCH_ON_DISABLED
@@ -263,9 +249,7 @@ def test_the_deadline_is_no_fault_of_a_run_that_goes_well(bench: MakeBench) -> N
 
 
 @pytest.mark.parametrize("shown", [0, 1, 99])
-def test_a_drive_that_gives_less_than_it_was_asked_for_is_covered_to_the_last_count(
-    bench: MakeBench, shown: int
-) -> None:
+def test_a_drive_that_gives_less_than_it_was_asked_for_is_covered_to_the_last_count(bench: MakeBench, shown: int):
     b = bench()
     tampered = Tampered(b)
     b.rig.start()
@@ -279,9 +263,7 @@ def test_a_drive_that_gives_less_than_it_was_asked_for_is_covered_to_the_last_co
 
 
 @pytest.mark.parametrize("read_back", ["demand", "actual"])
-def test_an_old_torque_is_borne_with_for_as_many_holds_as_a_lost_frame_however_it_is_read_back(
-    bench: MakeBench, read_back: str
-) -> None:
+def test_an_old_torque_is_borne_with_for_as_many_holds_as_a_lost_frame_however_it_is_read_back(bench, read_back):
     b = bench([axis(read_back=read_back)])
     tampered = Tampered(b)
     b.rig.start()

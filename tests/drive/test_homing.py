@@ -80,9 +80,7 @@ def test_the_handshake_is_the_one_of_the_profile_frame_by_frame(bench: MakeBench
         assert drive.sdo.read(*place) == value
 
 
-def test_a_brake_of_the_host_opens_before_the_homing_and_is_set_before_the_drive_is_disabled(
-    bench: MakeBench, tmp_path: Path
-) -> None:
+def test_a_brake_of_the_host_opens_before_the_homing_and_is_set_before_the_drive_is_disabled(bench, tmp_path):
     brake, path = Brake(by="host", output=16, release_time=0.03, set_time=0.05), with_homing(tmp_path)
     text = path.read_text(encoding="utf-8") + "\n[60FE]\nParameterName=Outputs\nObjectType=0x8\nSubNumber=3\n"
     for sub, kind in ((0, 5), (1, 7), (2, 7)):
@@ -113,9 +111,7 @@ def test_a_brake_of_the_host_opens_before_the_homing_and_is_set_before_the_drive
 @pytest.mark.slow_but("1-33-0")
 @pytest.mark.parametrize(("method", "home_at"), [(34, 4096), (33, 0)])
 @pytest.mark.parametrize("direction", [1, -1])
-def test_the_axis_moves_to_the_next_index_and_stays_there(
-    bench: MakeBench, tmp_path: Path, method: int, home_at: int, direction: int
-) -> None:
+def test_the_axis_moves_to_the_next_index_and_stays_there(bench: MakeBench, tmp_path, method, home_at, direction):
     b, drive = homed(bench, tmp_path, UP._replace(method=method), {"direction": direction})
     servo = b.drives[0].servo
     servo._counts_per_unit *= direction  # a drive mounted the other way round
@@ -224,9 +220,7 @@ def test_a_drive_that_counts_in_counts_per_second_is_homed(bench: MakeBench, tmp
     assert home(drive, NEVER) == (1000, 250)
 
 
-def test_a_method_that_the_drive_does_not_have_is_refused_before_it_is_enabled(
-    bench: MakeBench, tmp_path: Path
-) -> None:
+def test_a_method_that_the_drive_does_not_have_is_refused_before_it_is_enabled(bench: MakeBench, tmp_path) -> None:
     b, drive = homed(bench, tmp_path, UP._replace(method=17))
     with pytest.raises(StartError, match="homing"):
         home(drive, NEVER)
@@ -252,9 +246,7 @@ def test_an_old_result_in_the_statusword_is_not_taken_for_the_new_one(bench: Mak
         (UP, {"watchdog": False}, "watchdog: false: a killed program would leave the axis moving"),
     ],
 )
-def test_an_order_that_is_not_safe_sends_nothing(
-    bench: MakeBench, tmp_path: Path, order: HomingOrder, values: dict[str, Any], message: str
-) -> None:
+def test_an_order_that_is_not_safe_sends_nothing(bench: MakeBench, tmp_path, order: HomingOrder, values, message):
     with pytest.raises(InputError) as caught:
         homed(bench, tmp_path, order, values)
     assert message in str(caught.value)

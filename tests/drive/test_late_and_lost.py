@@ -32,9 +32,7 @@ def test_a_stall_skips_syncs_and_never_bursts(bench: MakeBench, late: int) -> No
 @pytest.mark.slow_but("389-1", "517-3")
 @pytest.mark.parametrize("lost", [0, 1, 3])
 @pytest.mark.parametrize("cob_id", [0x185, 0x205])
-def test_a_hold_lasts_as_many_sample_times_as_frames_were_lost_in_a_row(
-    bench: MakeBench, cob_id: int, lost: int
-) -> None:
+def test_a_hold_lasts_as_many_sample_times_as_frames_were_lost_in_a_row(bench: MakeBench, cob_id: int, lost: int):
     b = started(bench)
     for cycle in range(6):
         b.run(1, torque=1.0 + 0.1 * cycle)
@@ -134,11 +132,8 @@ def test_what_may_have_acted_in_lost_holds_is_known(bench: MakeBench) -> None:
     assert drive.open_time is None
 
 
-def test_where_only_a_sum_of_displacements_is_known_the_bound_counts_the_farthest_that_the_speed_allows(
-    bench: MakeBench,
-) -> None:
-    b = bench([axis(read_back="none", speed_limit=1.0)])
-    b.rig.start()
+def test_where_only_a_sum_of_displacements_is_known_the_bound_counts_the_farthest_that_the_speed_allows(bench):
+    b = started(bench, [axis(read_back="none", speed_limit=1.0)])
     b.run(10, torque=1.0)
     before = b.rig.drives[0].read_back_bound
     b.tampered.drop(0x185)

@@ -39,9 +39,7 @@ def test_every_torque_obeys_magnitude_rate_and_power_at_once(commands: list[tupl
 
 
 @given(near, near, near)
-def test_a_torque_that_was_cut_is_the_largest_that_the_limits_leave(
-    first: float, torque: float, velocity: float
-) -> None:
+def test_a_torque_that_was_cut_is_the_largest_that_the_limits_leave(first: float, torque: float, velocity: float):
     limiter = TorqueLimiter(LIMIT, SAMPLE_TIME, RATE, POWER)
     last = limiter.limit(first, 0.0)
     limited = limiter.limit(torque, velocity)

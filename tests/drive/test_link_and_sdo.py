@@ -149,15 +149,6 @@ def test_a_short_sdo_frame_is_no_answer(wire: Wire) -> None:
     assert wire.link.statistics.short == 1
 
 
-def test_a_segmented_upload_is_read_to_its_end(wire: Wire) -> None:
-    wire.node.script = {
-        "605#4000200100000000": ["585#4100200109000000"],
-        "605#6000000000000000": ["585#0001020304050607"],
-        "605#7000000000000000": ["585#1b08090000000000"],
-    }
-    assert wire.sdo().read(0x2000, 1) == int.from_bytes(bytes(range(1, 10)), "little")
-
-
 # --- the link ---------------------------------------------------------------------------------------------------------
 
 

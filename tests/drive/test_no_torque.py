@@ -37,9 +37,7 @@ def test_operation_enabled_is_one_state_of_all_statuswords() -> None:
 
 
 @pytest.mark.parametrize("values", [{}, {"rpdo": "event"}])
-def test_every_rpdo_of_a_dry_run_carries_zero_and_the_drive_is_enabled(
-    bench: MakeBench, values: dict[str, str]
-) -> None:
+def test_every_rpdo_of_a_dry_run_carries_zero_and_the_drive_is_enabled(bench: MakeBench, values: dict[str, str]):
     b = started(bench, bus=values, dry_run=True)
     samples = b.run(50, 5.0)
     assert b.drives[0].servo.torque == 0.0

@@ -10,7 +10,7 @@ from canhaptic.drive.survey import survey
 from canhaptic.errors import SdoError, StartError
 from canhaptic.replay import replay_bus_log
 from canhaptic.scene.load import load_scene
-from tests.drive.drive_bench import OUR_EDS, REPOSITORY, MakeBench, axis, dictionary
+from tests.drive.drive_bench import OUR_EDS, REPOSITORY, MakeBench, axis, dictionary, started
 
 LEFT = 300  # per mille of 10 N: 3 N
 WRITE_ZERO = bytes.fromhex("2b b2 60 00 00 00 00 00")
@@ -24,11 +24,8 @@ def eds_with_offset(folder: Path, access: str = "rww", data_type: str = "0x0003"
 
 
 @pytest.mark.parametrize("read_back", ["demand", "actual", "none"])
-def test_the_start_takes_an_offset_away_before_the_drive_is_enabled(
-    bench: MakeBench, tmp_path: Path, read_back: str
-) -> None:
-    b = bench([axis(eds=eds_with_offset(tmp_path), read_back=read_back)], objects={0x60B2: LEFT})
-    b.rig.start()
+def test_the_start_takes_an_offset_away_before_the_drive_is_enabled(bench: MakeBench, tmp_path, read_back: str) -> None:
+    b = started(bench, [axis(eds=eds_with_offset(tmp_path), read_back=read_back)], objects={0x60B2: LEFT})
     requests = b.sent(0x605)
     assert requests.index(WRITE_ZERO) < requests.index(bytes.fromhex("2f 60 60 00 0a 00 00 00"))  # the mode
     b.run(20)
@@ -60,8 +57,7 @@ def test_a_dictionary_whose_offset_cannot_be_zero_is_refused(tmp_path: Path) -> 
 
 
 def test_no_thread_writes_an_offset_during_the_run(bench: MakeBench, tmp_path: Path) -> None:
-    b = bench([axis(eds=eds_with_offset(tmp_path))])
-    b.rig.start()
+    b = started(bench, [axis(eds=eds_with_offset(tmp_path))])
     with pytest.raises(SdoError, match="it belongs to the cycle"):
         b.rig.sdo(0).write(0x60B2, 0, 100)
 

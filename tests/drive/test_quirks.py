@@ -61,9 +61,7 @@ def test_a_drive_with_a_quirk_comes_up_and_gives_the_torque_that_was_asked_for(b
 
 @pytest.mark.slow_for("slow_enable-*")
 @pytest.mark.parametrize(("name", "refusal"), [(name, text) for name, text in sorted(ALONE.items()) if text])
-def test_without_its_quirk_the_start_is_refused_and_the_drive_stays_disabled(
-    bench: MakeBench, name: str, refusal: str
-) -> None:
+def test_without_its_quirk_the_start_is_refused_and_the_drive_stays_disabled(bench: MakeBench, name: str, refusal: str):
     made = benched(bench, name, ())
     with pytest.raises(StartError, match=refusal):
         made.rig.start()
@@ -85,9 +83,7 @@ def test_all_quirks_that_go_together_come_up_together(bench: MakeBench) -> None:
 
 
 @pytest.mark.parametrize(("name", "scale"), [("torque_per_cent", 10.0), ("torque_per_ten_thousand", 0.1)])
-def test_a_torque_in_another_unit_is_wrong_by_its_factor_without_the_quirk(
-    bench: MakeBench, name: str, scale: float
-) -> None:
+def test_a_torque_in_another_unit_is_wrong_by_its_factor_without_the_quirk(bench: MakeBench, name: str, scale: float):
     assert pushed(benched(bench, name, ())) == pytest.approx(scale, rel=1e-9)
 
 
@@ -147,9 +143,7 @@ def test_a_drive_that_follows_late_loses_its_first_torques_unless_the_start_wait
         ("max_torque_absent", 10.0, "0x6072", Verdict.UNKNOWN, "the master alone keeps 8"),
     ],
 )
-def test_the_check_of_a_dictionary_knows_the_quirks(
-    quirk: str, rated_torque: float | None, item: str, verdict: Verdict, words: str
-) -> None:
+def test_the_check_of_a_dictionary_knows_the_quirks(quirk, rated_torque, item, verdict: Verdict, words) -> None:
     parameters = axis(quirks=(quirk,), rated_torque=rated_torque)
     [finding] = [f for f in check_dictionary(dictionary(parameters), parameters) if f.item.startswith(item)]
     assert finding.verdict is verdict
@@ -175,9 +169,7 @@ def test_negative_torques_survive_answers_without_length(bench: MakeBench) -> No
 
 
 @pytest.mark.parametrize(("data_type", "access", "written"), [("0x0003", "rw", 800), ("0x0006", "ro", None)])
-def test_a_max_torque_of_another_kind_needs_no_quirk(
-    bench: MakeBench, tmp_path: Any, data_type: str, access: str, written: int | None
-) -> None:
+def test_a_max_torque_of_another_kind_needs_no_quirk(bench: MakeBench, tmp_path, data_type, access, written) -> None:
     """INTEGER16 is written as it is; read-only is left alone."""
     text = OUR_EDS.read_text()
     old = "[6072]\nParameterName=Max torque\nObjectType=0x7\nDataType=0x0006\nAccessType=rww"

@@ -13,7 +13,7 @@ from canhaptic.drive.clock import WallClock
 from canhaptic.drive.rig import Rig
 from canhaptic.errors import StartError
 from canhaptic.host.realtime import GRANTED, Realtime, RealtimeParameters
-from tests.drive.drive_bench import MakeBench, axis, dictionary
+from tests.drive.drive_bench import MakeBench, axis, dictionary, started
 
 Calls = list[tuple[object, ...]]
 ROUND_ROBIN = 2  # SCHED_RR of sched.h
@@ -69,9 +69,7 @@ def test_what_is_granted_is_given_back_in_reverse_and_once(calls: Calls) -> None
     assert calls == ASKED + GIVEN_BACK
 
 
-def test_a_refusal_is_reported_in_the_systems_words_and_leaves_nothing_to_give_back(
-    calls: Calls, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_refusal_is_reported_in_the_systems_words_and_leaves_nothing_to_give_back(calls: Calls, monkeypatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
@@ -116,8 +114,7 @@ def test_a_start_that_fails_gives_back(bench: MakeBench, calls: Calls) -> None:
 
 
 def test_only_a_rig_in_real_time_asks(bench: MakeBench, calls: Calls) -> None:
-    b = bench(bus={"realtime": EVERYTHING})
-    b.rig.start()
+    b = started(bench, bus={"realtime": EVERYTHING})
     assert calls == []
     link = Link(b.buses[0], WallClock())
     drives = [ServoDrive(link, axis(), dictionary(axis()), b.rig.drives[0].bus)]

@@ -11,7 +11,7 @@ from canhaptic.drive.can.pdo_map import check_dictionary, require_fit
 from canhaptic.drive.profile.fitness import Verdict, agreed_rated_torque
 from canhaptic.errors import BusBudgetError, DictionaryError, InputError, StartError
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from tests.drive.drive_bench import OUR_EDS, Bench, MakeBench, axis, dictionary
+from tests.drive.drive_bench import OUR_EDS, Bench, MakeBench, axis, dictionary, started
 
 
 def refuse(b: Bench, step: str, *texts: str, says: str = "got ") -> StartError:
@@ -59,18 +59,12 @@ def test_a_drive_that_is_no_cia_402_device_is_refused(bench: MakeBench, device_t
 
 @pytest.mark.parametrize("device_type", [0x00020192, 0x00420192, 0x00060192, 0x00000192])
 def test_the_high_word_of_the_device_type_does_not_matter(bench: MakeBench, device_type: int) -> None:
-    b = bench(objects={0x1000: device_type})
-    b.rig.start()
+    b = started(bench, objects={0x1000: device_type})
     assert b.drives[0].state is DriveState.OPERATION_ENABLED
 
 
-def test_a_dictionary_whose_modes_lack_bit_9_is_refused_with_all_others(tmp_path: Path) -> None:
-    assert verdicts(edited(tmp_path, "6502", DefaultValue="0xDFF"))["0x6502"] is Verdict.REFUSED
-    assert verdicts(edited(tmp_path, "6502", DefaultValue="0x200"))["0x6502"] is Verdict.FIT
-
-
 def test_a_drive_whose_modes_lack_bit_9_is_refused(bench: MakeBench) -> None:
-    refuse(bench(objects={0x6502: 0x6D}), "drive modes", "0x6502 = 0x6d", "bit 9")
+    refuse(bench(objects={0x6502: 0xDFF}), "drive modes", "0x6502 = 0xdff", "bit 9")  # all but mode 10
 
 
 def test_a_drive_with_another_vendor_or_product_is_refused(bench: MakeBench) -> None:
@@ -221,9 +215,7 @@ def test_a_drive_with_the_node_id_of_the_master_is_refused(bench: MakeBench) -> 
         ("schunk_prl.dcf", "0x6071 target torque: missing"),
     ],
 )
-def test_vendor_drives_without_cyclic_torque_are_refused_with_the_reason(
-    vendor_eds: Path, name: str, reason: str
-) -> None:
+def test_vendor_drives_without_cyclic_torque_are_refused_with_the_reason(vendor_eds: Path, name: str, reason: str):
     parameters = axis(eds=vendor_eds / name)
     with pytest.raises(DictionaryError, match=reason):
         require_fit(dictionary(parameters), parameters)
@@ -289,10 +281,3 @@ def test_a_torque_limit_above_the_rated_torque_is_noted(limit: float, is_above: 
         finding for finding in check_dictionary(dictionary(given), given) if finding.item == "0x6076 rated torque"
     )
     assert (f"torque_limit {limit:g} is above it, both at the axis" in found.text) is is_above
-
-
-@pytest.mark.parametrize("modes", [0x1FF, 0x400, 0x100])
-def test_a_neighbouring_mode_does_not_stand_for_cyclic_torque(bench: MakeBench, modes: int) -> None:
-    """Bit 9 of 0x6502 is mode 10."""
-    with pytest.raises(StartError, match="0x6502"):
-        bench(objects={0x6502: modes}).rig.start()

@@ -11,7 +11,7 @@ from canhaptic.canopen.eds import read_dictionary
 from canhaptic.cli.main import main
 from canhaptic.drive.axis_parameters import AxisParameters
 from canhaptic.logs.energy_reader import EnergyLog
-from tests.drive.drive_bench import OUR_EDS, REPOSITORY, Bench, MakeBench, axis
+from tests.drive.drive_bench import OUR_EDS, REPOSITORY, Bench, MakeBench, axis, started
 from tests.drive.odd_slave import OddSlave
 from tests.drive.test_odd_habits import odd_bench
 from tests.drive.test_start import VENDOR_FILES
@@ -146,8 +146,7 @@ def test_a_refused_start_puts_back_what_it_wrote() -> None:
 
 
 def test_objects_that_the_scene_sets_are_written_and_put_back(bench: MakeBench) -> None:
-    b = bench([axis(eds=WITH_RAMPS, drive_objects={0x6085: 5000})], objects={"0x6085": 70})
-    b.rig.start()
+    b = started(bench, [axis(eds=WITH_RAMPS, drive_objects={0x6085: 5000})], objects={"0x6085": 70})
     assert b.drives[0].store.find(0x6085).number == 5000
     b.rig.stop()
     assert b.drives[0].store.find(0x6085).number == 70
@@ -175,9 +174,7 @@ def test_a_display_leaves_no_steepest_ramp_behind(capsys: pytest.CaptureFixture[
     )
 
 
-def test_check_and_commission_read_what_the_drive_keeps_and_name_limits_that_are_too_narrow(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_check_and_commission_read_what_the_drive_keeps_and_name_limits_that_are_too_narrow(capsys, tmp_path) -> None:
     eds = tmp_path / "display.eds"
     text = Path(WITH_RAMPS).read_text(encoding="utf-8")
     for sub, value in ((1, -200), (2, 200)):
@@ -197,14 +194,3 @@ def test_check_and_commission_read_what_the_drive_keeps_and_name_limits_that_are
 def test_no_other_object_can_be_set_by_a_scene(key: object) -> None:
     with pytest.raises(ValueError, match=r"expected one of: 0x6065, 0x6066, 0x607D\.1"):
         AxisParameters(name="a", node_id=1, eds=OUR_EDS, counts_per_unit=1.0, torque_limit=1.0, drive_objects={key: 1})
-
-
-def test_times_that_another_master_left_in_its_pdos_are_cleared_and_put_back(bench: MakeBench) -> None:
-    left = {"0x1800.3": 500, "0x1800.5": 20}  # inhibit 50 ms; event timer 20 ms
-    places = [(int(key[:6], 16), int(key[7:])) for key in left]
-    b = bench(objects=left)
-    b.rig.start()
-    assert [b.rig.drives[0].sdo.read(*place) for place in places] == [0, 0]
-    b.run(100)
-    b.rig.stop()
-    assert [b.rig.drives[0].sdo.read(*place) for place in places] == list(left.values())

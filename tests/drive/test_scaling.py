@@ -40,9 +40,7 @@ def test_a_torque_becomes_the_nearest_per_mille_of_the_rated_torque(torque: floa
     limits=st.tuples(st.floats(0.0, 1e3), st.floats(0.0, 1e3)),
     direction=st.sampled_from([1, -1]),
 )
-def test_rounding_never_takes_a_torque_beyond_its_limits(
-    torque: float, rated: float, limits: tuple[float, float], direction: int
-) -> None:
+def test_rounding_never_takes_a_torque_beyond_its_limits(torque, rated, limits, direction) -> None:
     scaling, (low, high) = AxisScaling(1.0, rated, direction), (-limits[0], limits[1])
     torque = min(max(torque, low), high)
     sent = scaling.torque(scaling.torque_per_mille(torque, low, high))

@@ -6,7 +6,7 @@ import pytest
 from canhaptic.drive.safety.link_policy import StopReason
 from canhaptic.errors import SecondMasterError
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from tests.drive.drive_bench import Bench, MakeBench, axis
+from tests.drive.drive_bench import Bench, MakeBench, axis, started
 
 FRAMES = {
     "SYNC": (0x080, b""),
@@ -28,8 +28,7 @@ def is_without_torque(b: Bench) -> bool:
 
 @pytest.mark.parametrize("name", FRAMES)
 def test_a_frame_of_the_master_from_elsewhere_stops_the_rig_at_once(bench: MakeBench, name: str) -> None:
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     b.run(10, torque=1.0)
     can_id, data = FRAMES[name]
     let_in(b, can_id, data)
@@ -51,8 +50,7 @@ def test_a_second_master_during_the_start_is_named(bench: MakeBench, name: str) 
 
 
 def test_the_next_start_begins_anew(bench: MakeBench) -> None:
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     let_in(b, 0x080, b"")
     with pytest.raises(SecondMasterError):
         b.run(2)
@@ -65,8 +63,7 @@ def test_the_next_start_begins_anew(bench: MakeBench) -> None:
     ("can_id", "data"), [(0x206, b"\x0f\0\0\0"), (0x606, bytes(8)), (0x706, b"\x05"), (0x100, b"")]
 )
 def test_frames_for_and_of_other_nodes_stop_nothing(bench: MakeBench, can_id: int, data: bytes) -> None:
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     let_in(b, can_id, data)
     b.run(10)
     assert b.rig.is_running
@@ -74,8 +71,7 @@ def test_frames_for_and_of_other_nodes_stop_nothing(bench: MakeBench, can_id: in
 
 @pytest.mark.parametrize("kind", ["is_remote_frame", "is_error_frame"])
 def test_remote_and_error_frames_prove_nothing(bench: MakeBench, kind: str) -> None:
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     let_in(b, 0x080, b"", **{kind: True})
     b.run(10)
     assert b.rig.is_running
@@ -123,9 +119,7 @@ def test_one_frame_more_than_was_sent_is_no_echo(bench: MakeBench) -> None:
 
 
 @pytest.mark.parametrize(("interface", "is_told"), [("udp_multicast", True), ("socketcan", False)])
-def test_two_scenes_on_one_port_are_told_why_they_hear_each_other(
-    bench: MakeBench, monkeypatch: pytest.MonkeyPatch, interface: str, is_told: bool
-) -> None:
+def test_two_scenes_on_one_port_are_told_why_they_hear_each_other(bench: MakeBench, monkeypatch, interface, is_told):
     b = bench()
     [on] = b.rig.buses
     monkeypatch.setattr(on, "_bus", b.rig.bus.model_copy(update={"interface": interface}))

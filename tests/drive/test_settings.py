@@ -8,7 +8,7 @@ import pytest
 from canhaptic.drive.profile.drive_objects import settings_of, settings_text
 from canhaptic.drive.profile.drive_settings import recorded_settings
 from canhaptic.errors import DictionaryError, StartError
-from tests.drive.drive_bench import OUR_EDS, Bench, MakeBench, axis
+from tests.drive.drive_bench import OUR_EDS, Bench, MakeBench, axis, started
 
 KEPT = "0x6072=1000 0x6075=5000 0x6076=10000 0x607E=0 0x6091.1=1 0x6091.2=1 0x60E0=1000 0x60E1=1000"
 THEN: dict[str | int, int] = {"0x6072": 1000, "0x6075": 5000, "0x6076": 10000}
@@ -49,9 +49,7 @@ def test_a_drive_as_commissioned_starts_and_its_text_is_what_commissioning_recor
         ({"0x60E1": 999, "0x6091.2": 2}, "0x6091:02 .* = 2, 1 .*0x60e1:00 Setting = 999, 1000"),
     ],
 )
-def test_a_difference_is_refused_before_anything_is_set_and_may_be_accepted(
-    bench: MakeBench, eds: Path, now: dict[str | int, int], named: str
-) -> None:
+def test_a_difference_is_refused_before_anything_is_set_and_may_be_accepted(bench: MakeBench, eds, now, named) -> None:
     b = rig(bench, eds, now, settings_checked=KEPT)
     with pytest.raises(StartError, match=f"settings: got {named}") as raised:
         b.rig.start()
@@ -106,16 +104,13 @@ def test_what_no_commissioning_has_seen_is_said(bench: MakeBench, eds: Path) -> 
     assert len(b.rig.drives[0].remarks) == 2
 
 
-def test_below_the_least_limit_of_a_drive_the_master_limits_alone_where_the_scene_says_so(
-    bench: MakeBench, tmp_path: Path
-) -> None:
+def test_below_the_least_limit_of_a_drive_the_master_limits_alone_where_the_scene_says_so(bench: MakeBench, tmp_path):
     text, path = OUR_EDS.read_text(encoding="utf-8"), tmp_path / "least.eds"
     begin = text.index("[6072]")
     path.write_text(text[:begin] + "[6072]\nLowLimit=100" + text[begin + 6 :], encoding="utf-8")
     with pytest.raises(DictionaryError, match=r"limited to 100\.\..*, but the scene needs 50"):
         bench([axis(eds=path, torque_limit=0.5)])
-    b = bench([axis(eds=path, torque_limit=0.5, limit_by_master=True)])
-    b.rig.start()
+    b = started(bench, [axis(eds=path, torque_limit=0.5, limit_by_master=True)])
     assert b.rig.drives[0].sdo.read(0x6072) == 100
     b.run(3, torque=8.0)
     assert b.torques_sent()[-1] == 50

@@ -74,9 +74,7 @@ def test_two_buses_share_one_sync_index_and_stop_together() -> None:
     two.close()
 
 
-def test_a_host_that_stops_while_it_reads_the_second_bus_sends_no_two_syncs_in_a_burst(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_host_that_stops_while_it_reads_the_second_bus_sends_no_two_syncs_in_a_burst(monkeypatch) -> None:
     two = Buses()
     two.rig.start()
     period, drain, sent = two.rig.bus.sample_time_ns, two.rig.buses[1].drain, [0]
@@ -122,9 +120,7 @@ def test_one_bus_that_dies_stops_the_drives_of_the_other() -> None:
     ("count", "per_bus", "rate"),
     [(1, 1, 1000.0), (1, 2, 1000.0), (1, 3, 500.0), (1, 6, 400.0), (2, 3, 500.0), (3, 2, 1000.0)],
 )
-def test_each_axis_pairs_its_own_torque_and_displacement_by_one_sync_index(
-    count: int, per_bus: int, rate: float
-) -> None:
+def test_each_axis_pairs_its_own_torque_and_displacement_by_one_sync_index(count: int, per_bus: int, rate: float):
     rig_of = Buses(count, per_bus, rate)
     rig_of.rig.start()
     axes = count * per_bus

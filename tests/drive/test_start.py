@@ -8,22 +8,20 @@ from canhaptic.canopen.objects import NmtState
 from canhaptic.drive.safety.power_states import is_enabled
 from canhaptic.errors import StartError
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from tests.drive.drive_bench import OUR_EDS, RATED_TORQUE, MakeBench, axis
+from tests.drive.drive_bench import OUR_EDS, RATED_TORQUE, MakeBench, axis, started
 
 VENDOR_FILES = ("elmo_gold.dcf", "zeroerr_erob.eds", "maxon_epos4.dcf", "kollmorgen_rgm.eds")
 
 
 def test_the_start_ends_with_the_drive_enabled_and_every_torque_zero(bench: MakeBench) -> None:
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     assert b.drives[0].state is DriveState.OPERATION_ENABLED
     assert b.drives[0].nmt_state is NmtState.OPERATIONAL
     assert set(b.torques_sent()) == {0}
 
 
 def test_the_start_sends_the_frames_that_cia_301_and_402_ask_for_in_order(bench: MakeBench) -> None:
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     wanted = [
         (0x605, "40 00 10 00 00 00 00 00"),  # device type, before anything is written
         (0x000, "80 05"),  # NMT enter pre-operational
@@ -63,8 +61,7 @@ def test_the_start_sends_the_frames_that_cia_301_and_402_ask_for_in_order(bench:
 
 
 def test_the_first_samples_are_those_of_the_first_enabled_sync(bench: MakeBench) -> None:
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     syncs = len(b.sent(0x080))
     first = b.rig.sync()[0]
     assert len(b.sent(0x080)) == syncs
@@ -76,11 +73,8 @@ def test_the_first_samples_are_those_of_the_first_enabled_sync(bench: MakeBench)
 
 @pytest.mark.parametrize("rpdo", ["synchronous", "event"])
 @pytest.mark.parametrize("name", VENDOR_FILES)
-def test_every_cyclic_torque_vendor_dictionary_is_brought_up_and_run(
-    bench: MakeBench, vendor_eds: Path, name: str, rpdo: str
-) -> None:
-    b = bench([axis(eds=vendor_eds / name)], bus={"rpdo": rpdo})
-    b.rig.start()
+def test_every_cyclic_torque_vendor_dictionary_is_brought_up_and_run(bench: MakeBench, vendor_eds, name, rpdo) -> None:
+    b = started(bench, [axis(eds=vendor_eds / name)], bus={"rpdo": rpdo})
     samples = b.run(20, torque=2.0)
     assert all(sample.fresh for sample in samples)
     assert samples[-1].torque_applied == pytest.approx(2.0)
@@ -90,27 +84,22 @@ def test_every_cyclic_torque_vendor_dictionary_is_brought_up_and_run(
 
 
 def test_fixed_maps_are_selected_and_several_tpdos_make_one_sample(bench: MakeBench, vendor_eds: Path) -> None:
-    b = bench([axis(eds=vendor_eds / "kollmorgen_rgm.eds", tpdo_numbers=(3, 5), pdo_cob_ids={0x1804: 0x285})])
-    b.rig.start()
+    b = started(bench, [axis(eds=vendor_eds / "kollmorgen_rgm.eds", tpdo_numbers=(3, 5), pdo_cob_ids={0x1804: 0x285})])
     samples = b.run(20, torque=2.0)
     assert samples[-1].torque_applied == pytest.approx(2.0)
     assert len(b.received(0x285)) == len(b.received(0x385)) > 20
     assert not [data for data in b.sent(0x605) if data[1:3] in (b"\x02\x1a", b"\x04\x1a") and data[0] in (0x23, 0x2F)]
 
 
-def test_rated_torque_and_limit_come_from_the_configuration_where_the_drive_lacks_them(
-    bench: MakeBench, vendor_eds: Path
-) -> None:
-    b = bench([axis(eds=vendor_eds / "kollmorgen_rgm.eds", torque_limit=3.0)])
-    b.rig.start()
+def test_rated_torque_and_limit_come_from_the_configuration_where_the_drive_lacks_them(bench: MakeBench, vendor_eds):
+    b = started(bench, [axis(eds=vendor_eds / "kollmorgen_rgm.eds", torque_limit=3.0)])
     b.run(5, torque=100.0)
     assert max(b.torques_sent()) == 300  # per mille of the 10 N of the configuration
     assert not [data for data in b.sent(0x605) if data[1:3] == b"\x72\x60"]
 
 
 def test_a_drive_left_enabled_by_a_dead_master_is_disabled_before_anything_else(bench: MakeBench) -> None:
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     b.run(5, torque=1.0)
     begin = len(b.frames)
     b.rig.start()
@@ -131,8 +120,7 @@ def test_a_start_after_a_stop_works_as_the_first(bench: MakeBench) -> None:
 
 
 def test_three_axes_on_one_bus_start_together_and_share_the_sync_index(bench: MakeBench) -> None:
-    b = bench([axis(node_id) for node_id in (5, 6, 7)], bus={"rate": 500.0})
-    b.rig.start()
+    b = started(bench, [axis(node_id) for node_id in (5, 6, 7)], bus={"rate": 500.0})
     for _ in range(10):
         samples = b.rig.sync()
         assert len({sample.sync_index for sample in samples}) == 1
@@ -143,26 +131,23 @@ def test_three_axes_on_one_bus_start_together_and_share_the_sync_index(bench: Ma
 
 
 def test_start_and_stop_take_less_than_a_tenth_of_a_second_each(bench: MakeBench) -> None:
-    b = bench()
-    b.rig.start()
-    started = b.clock.now()
+    b = started(bench)
+    begun = b.clock.now()
     b.run(3)
     running = b.clock.now()
     b.rig.stop()
-    assert started < 100_000_000
+    assert begun < 100_000_000
     assert b.clock.now() - running < 100_000_000
 
 
 def test_the_live_rated_torque_scales_the_commands_when_the_configuration_has_none(bench: MakeBench) -> None:
-    b = bench([axis(rated_torque=None)], drive_values={"rated_torque": 20.0})
-    b.rig.start()
+    b = started(bench, [axis(rated_torque=None)], drive_values={"rated_torque": 20.0})
     b.run(3, torque=1.0)
     assert max(b.torques_sent()) == 50  # 1 N of 20 N
 
 
 def test_a_small_difference_of_rated_torque_is_taken_as_rounding(bench: MakeBench) -> None:
-    b = bench([axis(rated_torque=RATED_TORQUE * 1.0005)])
-    b.rig.start()
+    b = started(bench, [axis(rated_torque=RATED_TORQUE * 1.0005)])
     assert b.rig.drives[0].scaling.rated_torque == pytest.approx(10.0)
 
 
@@ -176,15 +161,12 @@ def test_a_cycle_period_left_by_another_master_is_replaced_by_ours(bench: MakeBe
 
 @pytest.mark.parametrize("left", [0, 1000])
 def test_a_cycle_period_that_is_off_or_right_is_left_as_it_is(bench: MakeBench, left: int) -> None:
-    b = bench(objects={0x1006: left})
-    b.rig.start()
+    b = started(bench, objects={0x1006: left})
     assert b.drives[0].store.read(0x1006, 0) == left.to_bytes(4, "little")
     assert not [data for data in b.sent(0x605) if data[1:3] == b"\x06\x10" and data[0] != 0x40]
 
 
-def test_a_cycle_period_that_is_wrong_and_read_only_is_refused_with_both_values(
-    bench: MakeBench, tmp_path: Path
-) -> None:
+def test_a_cycle_period_that_is_wrong_and_read_only_is_refused_with_both_values(bench: MakeBench, tmp_path) -> None:
     eds = tmp_path / "read_only.eds"
     text = OUR_EDS.read_text(encoding="utf-8")
     head, tail = text.split("[1006]\n")

@@ -19,7 +19,7 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.drive.profile.state_machine import DriveState
 from tests.drawn import examples
-from tests.drive.drive_bench import REPOSITORY, Bench, MakeBench, axis, make_bench
+from tests.drive.drive_bench import REPOSITORY, Bench, MakeBench, axis, make_bench, started
 
 TRAITS = REPOSITORY / "tests" / "sim_drive" / "eds"
 
@@ -54,16 +54,14 @@ def test_an_rpdo_given_back_is_sent_on_every_cycle_all_the_same() -> None:
 
 def test_a_mapping_declared_as_array_gets_its_entries_written(bench: MakeBench) -> None:
     """canopen's save() writes no entries there and switches the PDO on all the same."""
-    b = bench([axis(eds=TRAITS / "array_maps.eds")])
-    b.rig.start()
+    b = started(bench, [axis(eds=TRAITS / "array_maps.eds")])
     written = [data[4:].hex() for data in b.sent(0x605) if data[0] == 0x23 and data[1:3] in (b"\x00\x16", b"\x00\x1a")]
     assert {"10004060", "10007160", "10004160", "20006460"} <= set(written)
     assert b.run(5, torque=1.0)[-1].torque_applied == pytest.approx(1.0)
 
 
 def test_fixed_maps_are_never_written(bench: MakeBench) -> None:
-    b = bench([axis(eds=TRAITS / "fixed_maps.eds")])
-    b.rig.start()
+    b = started(bench, [axis(eds=TRAITS / "fixed_maps.eds")])
     fixed = [
         plan.mapping_index for plan in (b.rig.drives[0].map.rpdo, *b.rig.drives[0].map.tpdos) if not plan.is_written
     ]
@@ -74,8 +72,7 @@ def test_fixed_maps_are_never_written(bench: MakeBench) -> None:
 
 
 def test_a_drive_that_never_indicates_the_size_of_an_answer_is_brought_up(bench: MakeBench) -> None:
-    b = bench(drive_values={"sdo_size_indicated": False})
-    b.rig.start()
+    b = started(bench, drive_values={"sdo_size_indicated": False})
     assert b.drives[0].state is DriveState.OPERATION_ENABLED
 
 
@@ -88,8 +85,7 @@ def test_a_drive_in_nmt_stopped_is_brought_up(bench: MakeBench) -> None:
 
 
 def test_no_pdo_but_the_chosen_ones_stays_switched_on(bench: MakeBench) -> None:
-    b = bench(objects={"0x1801.1": 0x285, "0x1402.1": 0x405})
-    b.rig.start()
+    b = started(bench, objects={"0x1801.1": 0x285, "0x1402.1": 0x405})
     for index in (0x1401, 0x1402, 0x1403, 0x1801, 0x1802, 0x1803):
         assert b.rig.drives[0].sdo.read(index, 1) & 0x80000000
 
@@ -113,8 +109,7 @@ def test_a_lost_sdo_answer_does_not_end_the_start(bench: MakeBench) -> None:
 
 def test_an_sdo_inside_a_handler_is_answered_at_once(bench: MakeBench) -> None:
     """In a callback of canopen it blocks for 0.3 s: the thread that would take the answer is the one that waits."""
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     found: list[tuple[int, int]] = []
 
     def read(_: bytearray) -> None:
@@ -130,8 +125,7 @@ def test_an_sdo_inside_a_handler_is_answered_at_once(bench: MakeBench) -> None:
 def test_a_whole_run_starts_no_thread_that_would_have_to_be_awaited(bench: MakeBench) -> None:
     """canopen's disconnect takes a second, in which python-can's Notifier wakes up from its last wait."""
     before = set(threading.enumerate())
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     b.run(5)
     assert set(threading.enumerate()) == before
     b.rig.stop()
@@ -171,9 +165,7 @@ FRAMES = st.lists(st.tuples(IDENTIFIERS, st.binary(max_size=8)), min_size=1, max
 
 @settings(max_examples=examples(60))
 @given(FRAMES)
-def test_arbitrary_frames_in_the_cycle_never_give_torque_beyond_the_limit_or_an_unknown_error(
-    frames: list[tuple[int, bytes]],
-) -> None:
+def test_arbitrary_frames_in_the_cycle_never_give_torque_beyond_the_limit_or_an_unknown_error(frames):
     with running_bench() as b:
         try:
             for can_id, data in frames:
@@ -187,9 +179,7 @@ def test_arbitrary_frames_in_the_cycle_never_give_torque_beyond_the_limit_or_an_
 
 @settings(max_examples=examples(40))
 @given(st.integers(0, 60), st.sampled_from([0x585, 0x705, 0x185]), st.binary(max_size=8))
-def test_an_arbitrary_answer_anywhere_in_the_start_never_ends_in_torque_or_an_unknown_error(
-    which: int, can_id: int, data: bytes
-) -> None:
+def test_an_arbitrary_answer_anywhere_in_the_start_never_ends_in_torque_or_an_unknown_error(which, can_id, data: bytes):
     b = make_bench()
     seen: list[can.Message] = []
 

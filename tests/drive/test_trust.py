@@ -18,7 +18,7 @@ from canhaptic.scene.buses import kind_of
 from canhaptic.scene.load import load_scene, scene_from_mapping
 from canhaptic.scene.models import Scene
 from tests.drawn import examples
-from tests.drive.drive_bench import MakeBench
+from tests.drive.drive_bench import MakeBench, started
 from tools.bench.demo import CONFIG, IN_CONTACT
 from tools.truth.faults import TwinBus
 from tools.truth.scenes import SOURCE, random_scene
@@ -78,9 +78,7 @@ def test_half_of_the_samples_lost_ends_a_run_within_a_second_and_one_in_a_hundre
     st.lists(st.integers(-1000, 1000), min_size=8, max_size=40), st.integers(0, 2), st.floats(0.0, 1.0),
     st.integers(0, 1000),
 )  # fmt: skip
-def test_a_torque_that_is_late_limited_and_filtered_contradicts_no_command(
-    commands: list[int], late: int, share: float, limit: int
-) -> None:
+def test_a_torque_that_is_late_limited_and_filtered_contradicts_no_command(commands, late, share, limit) -> None:
     check = TorqueCheck(3, 0.5)
     for now in range(2, len(commands)):
         check.commands.append(commands[now])
@@ -91,9 +89,7 @@ def test_a_torque_that_is_late_limited_and_filtered_contradicts_no_command(
 
 @settings(max_examples=examples(60))
 @given(st.lists(st.integers(-1000, 1000), min_size=3, max_size=30), st.integers(1, 4), st.integers(0, 100), st.data())
-def test_a_torque_beyond_all_commands_that_may_act_is_counted_until_one_is_within(
-    commands: list[int], holds: int, tolerance: int, data: st.DataObject
-) -> None:
+def test_a_torque_beyond_all_commands_that_may_act_is_counted_until_one_is_within(commands, holds, tolerance, data):
     check, counted = TorqueCheck(holds, tolerance), 0
     for now, command in enumerate(commands):
         check.commands.append(command)
@@ -229,8 +225,7 @@ def test_what_timing_alone_leaves_uncertain_counts_only_where_it_is_declared(dec
 
 @pytest.mark.parametrize(("is_first", "moved"), [(True, 300), (False, 300), (True, -300)])
 def test_a_second_sender_is_named_and_its_samples_are_lost(bench: MakeBench, is_first: bool, moved: int) -> None:
-    b = bench()
-    b.rig.start()
+    b = started(bench)
     b.run(20, torque=1.0)
     link: Any = b.links[0]
     link._bus = twins = TwinBus(link._bus, 0x185, moved, is_first=is_first)
@@ -242,8 +237,7 @@ def test_a_second_sender_is_named_and_its_samples_are_lost(bench: MakeBench, is_
 
 
 def test_a_host_that_skips_every_second_sync_is_stopped_within_seconds(bench: MakeBench) -> None:
-    b = bench(bus={"heartbeat_timeout": 1.0})
-    b.rig.start()
+    b = started(bench, bus={"heartbeat_timeout": 1.0})
 
     def halve() -> None:
         for _ in range(4000):

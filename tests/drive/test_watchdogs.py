@@ -14,7 +14,7 @@ from canhaptic.drive.can.pdo_map import check_dictionary, choose_map
 from canhaptic.drive.profile.fitness import Verdict
 from canhaptic.errors import DictionaryError
 from canhaptic.sim.drive.profile.state_machine import DriveState
-from tests.drive.drive_bench import OUR_EDS, Bench, MakeBench, axis
+from tests.drive.drive_bench import OUR_EDS, Bench, MakeBench, axis, started
 
 MILLISECOND = 1_000_000
 SILENCE = 100 * MILLISECOND  # of the master that the drives of these tests tolerate
@@ -76,11 +76,8 @@ def until_torque_is_gone(b: Bench) -> int:
 @pytest.mark.parametrize(
     ("means", "code"), [("heartbeat", "30 81"), ("life_guarding", "30 81"), ("rpdo_timer", "50 82")]
 )
-def test_a_dead_master_leaves_no_torque_by_any_standard_means(
-    bench: MakeBench, tmp_path: Path, means: str, code: str
-) -> None:
-    b = bench([of(tmp_path, means)])
-    b.rig.start()
+def test_a_dead_master_leaves_no_torque_by_any_standard_means(bench: MakeBench, tmp_path, means: str, code: str):
+    b = started(bench, [of(tmp_path, means)])
     b.run(300, torque=2.0)  # the master is well: nothing fires
     assert b.drives[0].torque == pytest.approx(2.0)
     assert until_torque_is_gone(b) <= SILENCE + 3 * MILLISECOND
@@ -89,9 +86,7 @@ def test_a_dead_master_leaves_no_torque_by_any_standard_means(
 
 
 @pytest.mark.parametrize("means", ["heartbeat", "life_guarding", "rpdo_timer"])
-def test_the_watchdog_ends_with_the_run_and_leaves_the_drive_as_it_was(
-    bench: MakeBench, tmp_path: Path, means: str
-) -> None:
+def test_the_watchdog_ends_with_the_run_and_leaves_the_drive_as_it_was(bench: MakeBench, tmp_path, means: str) -> None:
     b = bench([of(tmp_path, means)])
     before = {place: b.drives[0].store.read(*place) for place in ((0x1016, 1), (0x1017, 0), (0x1400, 5))}
     for _ in range(2):
@@ -105,8 +100,7 @@ def test_the_watchdog_ends_with_the_run_and_leaves_the_drive_as_it_was(
 
 
 def test_a_guarded_drive_answers_each_request_with_another_bit(bench: MakeBench, tmp_path: Path) -> None:
-    b = bench([of(tmp_path, "life_guarding")])
-    b.rig.start()
+    b = started(bench, [of(tmp_path, "life_guarding")])
     begin = len(b.received(0x705))
     b.run(200)
     answers = [data[0] for data in b.received(0x705)[begin:]]
@@ -118,8 +112,7 @@ def test_a_guarded_drive_answers_each_request_with_another_bit(bench: MakeBench,
 
 
 def test_answers_whose_bit_does_not_change_are_no_sign_of_life(bench: MakeBench, tmp_path: Path) -> None:
-    b = bench([of(tmp_path, "life_guarding")])
-    b.rig.start()
+    b = started(bench, [of(tmp_path, "life_guarding")])
     b.run(50)
 
     def stuck(message: can.Message) -> can.Message:
@@ -155,9 +148,7 @@ def test_no_watchdog_waits_in_vain_while_another_drive_is_slow(bench: MakeBench,
     assert max(later - sooner for sooner, later in pairwise(beats)) < SILENCE // 2
 
 
-def test_guarding_that_another_master_left_is_cleared_where_it_is_not_needed_and_put_back(
-    bench: MakeBench, tmp_path: Path
-) -> None:
+def test_guarding_that_another_master_left_is_cleared_where_it_is_not_needed_and_put_back(bench: MakeBench, tmp_path):
     b = bench([of(tmp_path, "heartbeat")], objects={0x100C: 100, 0x100D: 3})
     store = b.drives[0].store
     b.rig.start()

@@ -79,9 +79,7 @@ def require_told(seen: Outcome | None, path: Path) -> None:
 
 @pytest.mark.slow_but("flush-1")
 @pytest.mark.parametrize(("kind", "n"), cells(ENERGY, {("append", 14), ("flush", 1)}))
-def test_an_energy_log_is_whole_or_said_not_to_be(
-    kind: str, n: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_energy_log_is_whole_or_said_not_to_be(kind: str, n: int, tmp_path, monkeypatch) -> None:
     owner, name, _ = ENERGY[kind]
     path = tmp_path / "run.h5"
     with monkeypatch.context() as patch:
@@ -101,9 +99,7 @@ def test_an_energy_log_is_whole_or_said_not_to_be(
 
 
 @pytest.mark.parametrize(("kind", "n"), cells(BUS, {("write", 1)}))
-def test_a_bus_log_is_whole_or_said_not_to_be(
-    kind: str, n: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bus_log_is_whole_or_said_not_to_be(kind: str, n: int, tmp_path, monkeypatch) -> None:
     owner, name, _ = BUS[kind]
     path = tmp_path / "run.log"
     with monkeypatch.context() as patch:

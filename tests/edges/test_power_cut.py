@@ -2,7 +2,7 @@
 
 import random
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -59,9 +59,7 @@ def read_all(path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 20))])
 @pytest.mark.parametrize("cut", [pages_lost, tail_lost])
-def test_what_a_power_cut_leaves_is_read_refused_or_saved_up_to_the_damage(
-    running: bytes, tmp_path: Path, cut: Callable[[bytes, random.Random], bytes], seed: int
-) -> None:
+def test_what_a_power_cut_leaves_is_read_refused_or_saved_up_to_the_damage(running, tmp_path, cut, seed):
     path, saved = tmp_path / "run.h5", tmp_path / "saved.h5"
     path.write_bytes(cut(running, random.Random(seed)))
     with pytest.raises(LogFormatError, match=r"damaged \("):

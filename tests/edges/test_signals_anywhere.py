@@ -91,9 +91,7 @@ def syncs_with_torque(bench: Bench, first_sync: int) -> int:
 @pytest.mark.slow_but("97-1-2")
 @pytest.mark.parametrize("signals", [1, 2, 3, 10])
 @pytest.mark.parametrize(("step", "begin"), [(97, 1), *((5, n) for n in range(1, 6))])
-def test_signals_at_every_instant_of_a_run_leave_no_torque_and_no_enabled_drive(
-    looks: Looks, signals: int, step: int, begin: int
-) -> None:
+def test_signals_at_every_instant_of_a_run_leave_no_torque_and_no_enabled_drive(looks: Looks, signals, step, begin):
     whole = all_places(looks)
     assert whole > 300
     longest = 0

@@ -26,9 +26,7 @@ def test_a_dictionary_leads_to_a_wall_that_is_felt(name: str, person: Person, re
 @pytest.mark.campaign_for("*-16384")
 @pytest.mark.parametrize("turn", [2_000, 4_096, 16_384])
 @pytest.mark.parametrize("name", [*OURS, *FIT])
-def test_a_coarse_encoder_leads_to_a_wall_that_is_felt(
-    name: str, turn: int, person: Person, request: pytest.FixtureRequest
-) -> None:
+def test_a_coarse_encoder_leads_to_a_wall_that_is_felt(name: str, turn: int, person: Person, request) -> None:
     """Counts a turn of encoders with 500 lines and more, as people have them; nothing else is given."""
     person.types("new", dictionary(name, request), "--simulate", "--out", "rig.yaml")
     counts = f"axes.0.counts_per_unit={turn / (2.0 * np.pi)} count/rad"
@@ -60,9 +58,7 @@ def mass_felt(person: Person) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["velocity", "position"])
 @pytest.mark.parametrize("name", ["cia402_admittance.eds", *FIT])
-def test_a_dictionary_leads_to_a_mass_that_is_felt(
-    name: str, mode: str, person: Person, request: pytest.FixtureRequest
-) -> None:
+def test_a_dictionary_leads_to_a_mass_that_is_felt(name: str, mode: str, person: Person, request) -> None:
     sets = () if mode == "velocity" else FINE
     person.types("new", dictionary(name, request), "--display", mode, "--simulate", "--out", "rig.yaml")
     asked, least = check_of_mass(person, *sets)

@@ -2,12 +2,11 @@
 
 import signal
 import threading
-from pathlib import Path
 
 import pytest
 
 from canhaptic.logs.energy_reader import EnergyLog
-from tests.acceptance.two_processes import Listener, canhaptic, pushed, shared_bus
+from tests.acceptance.two_processes import canhaptic, pushed, shared_bus
 from tests.journeys.person import CONFIGS, Person
 
 __all__ = ["shared_bus"]  # a fixture
@@ -36,10 +35,7 @@ def test_a_hung_axis_is_held_by_a_stop_until_its_brake_holds_and_check_says_wher
 
 
 @pytest.mark.slow
-def test_a_hung_axis_does_not_fall_while_its_computer_stands_still_and_the_run_says_so_afterwards(
-    shared_bus: tuple[Listener, list[str]],
-    tmp_path: Path,
-) -> None:
+def test_a_hung_axis_does_not_fall_while_its_computer_stands_still_and_the_run_says_so_afterwards(shared_bus, tmp_path):
     """SIGSTOP and SIGCONT: the drive's own watchdog takes the torque away and sets the brake meanwhile."""
     listener, on_bus = shared_bus
     words = [*on_bus, "--set", f"{BRAKE}, holds_weight: 5 N}}", *WEIGHT]

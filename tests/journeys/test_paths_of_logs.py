@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.journeys.person import CONFIGS, EDS, UNFIT, Person, dictionary, shown
+from tests.journeys.person import CONFIGS, UNFIT, Person, dictionary, shown
 
 DEMO = str(CONFIGS / "demo.yaml")
 IN_CONTACT = ("--duration", "0.3", "--set", "environment.side=above")
@@ -33,23 +33,13 @@ def test_a_recording_is_inspected_recomputed_and_replayed(person: Person) -> Non
     assert "identical" in person.types("replay", "run.log", "--config", DEMO, *IN_CONTACT[2:])
 
 
-@pytest.mark.slow
-def test_the_scene_of_a_real_rig_names_what_is_to_be_set_and_does_not_run_before(person: Person) -> None:
-    person.types("new", str(EDS / "cia402_servo.eds"), "--out", "rig.yaml")
-    assert "TO SET" in person.types("check", "rig.yaml", status=1) + (person.folder / "rig.yaml").read_text()
-    person.types("run", "rig.yaml", status=2)
-    assert "rig.yaml:" in person.errors
-
-
 def test_scenes_that_are_copied_run_from_their_copy(person: Person) -> None:
     person.types("configs", "--copy", ".")
     assert person.runs_one("configs/demo.yaml", "--duration", "0.1")["unit"] == "m"
 
 
 @pytest.mark.parametrize("name", UNFIT)
-def test_a_drive_that_cannot_serve_is_refused_by_both_commands_for_one_reason(
-    name: str, person: Person, request: pytest.FixtureRequest
-) -> None:
+def test_a_drive_that_cannot_serve_is_refused_by_both_commands_for_one_reason(name: str, person: Person, request):
     path = dictionary(name, request)
     table = " ".join(person.types("check-eds", path, status=1).split())
     person.types("new", path, "--simulate", "--out", "rig.yaml", status=2)

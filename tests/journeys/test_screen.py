@@ -14,9 +14,7 @@ SPENT = {"passivity.device_damping": 0.0, "passivity.energy_allowance": "20 uJ"}
 
 
 @pytest.mark.slow
-def test_a_knob_whose_allowance_is_spent_says_when_its_torque_ended_and_a_share_that_is_not_negative(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_knob_whose_allowance_is_spent_says_when_its_torque_ended_and_a_share_that_is_not_negative(tmp_path, capsys):
     result = canhaptic.simulate("rotary_knob", {**SPENT, "passivity.current_lag": "500 us"}, duration=1.0)
     port, samples = result.account.raw["ports"]["knob"], result.to_numpy()
     acted = result.time[abs(samples["knob.torque_command"]).nonzero()[0][-1]]
@@ -42,9 +40,7 @@ def test_check_says_what_is_rendered_of_a_detent_once_the_allowance_is_spent() -
 
 
 @pytest.mark.slow
-def test_the_log_of_a_failed_run_says_so_first_and_ends_with_1(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_log_of_a_failed_run_says_so_first_and_ends_with_1(tmp_path, capsys) -> None:
     path = canhaptic.simulate("demo", duration=0.1).save(tmp_path / "run.h5")
     assert main(["inspect", str(path)]) == 0
     with h5py.File(path, "r+") as file:
@@ -90,9 +86,7 @@ SCENES = sorted(
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
-def test_inspect_fits_on_a_screen_and_tells_the_rest_when_asked(
-    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_inspect_fits_on_a_screen_and_tells_the_rest_when_asked(path: Path, tmp_path, capsys) -> None:
     run = canhaptic.simulate(path, duration=1.0 if path.stem != "two_axes" else 0.1, progress=False, allow_code=True)
     log = str(run.save(tmp_path / "run.h5"))
     assert main(["inspect", log]) == 0

@@ -23,9 +23,7 @@ def hardware(text: str) -> str:
 @pytest.mark.slow_but("cia402_servo.eds-CSV", "cia402_servo.eds-CSP")
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("name", [*OURS, *FIT, *UNFIT])
-def test_check_eds_new_check_and_run_agree(
-    name: str, mode: str, person: Person, request: pytest.FixtureRequest
-) -> None:
+def test_check_eds_new_check_and_run_agree(name: str, mode: str, person: Person, request) -> None:
     eds, words = dictionary(name, request), MODES[mode]
     found = json.loads(person.types("check-eds", eds, *words, "--json", status=None))
     said = hardware(found["statuses"])

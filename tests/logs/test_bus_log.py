@@ -222,9 +222,7 @@ def test_a_damaged_blf_is_one_clear_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["log", "blf", "trc", "asc"])
-def test_a_bus_log_that_may_not_be_read_is_one_clear_error(
-    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bus_log_that_may_not_be_read_is_one_clear_error(tmp_path, suffix: str, monkeypatch) -> None:
     path = tmp_path / f"a.{suffix}"
     path.write_text("(0.1) can0 080#\n")
 
@@ -282,9 +280,7 @@ def test_a_writer_killed_in_a_later_file_of_a_series_doubles_no_line(tmp_path: P
 @pytest.mark.parametrize(
     ("status", "first"), [("failed: LinkError", 9_000), ("complete", None), ("completed", None), ("stopped", None)]
 )
-def test_the_last_seconds_are_written_only_when_a_run_ends_badly(
-    tmp_path: Path, status: str, first: int | None
-) -> None:
+def test_the_last_seconds_are_written_only_when_a_run_ends_badly(tmp_path, status: str, first: int | None) -> None:
     path = tmp_path / "fault.log"
     log = BusLogWriter(path, "can0", pace="free", last=1.0)
     for k in range(10_001):

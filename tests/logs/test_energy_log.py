@@ -74,9 +74,7 @@ def test_every_quantity_of_every_row_is_read_back_as_it_was_written(finished: Pa
 
 
 @pytest.mark.slow
-def test_a_log_has_each_renamed_column_under_both_names_and_an_older_one_is_read_by_either(
-    finished: Path, tmp_path: Path
-) -> None:
+def test_a_log_has_each_renamed_column_under_both_names_and_an_older_one_is_read_by_either(finished: Path, tmp_path):
     older, repaired = tmp_path / "older.h5", tmp_path / "repaired.h5"
     older.write_bytes(finished.read_bytes())
     with h5py.File(older, "r+") as file:

@@ -30,9 +30,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_a_parquet_table_holds_every_quantity_bit_for_bit_with_its_unit(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_parquet_table_holds_every_quantity_bit_for_bit_with_its_unit(path: Path, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(module, "_BLOCK", 300)
     parquet = pytest.importorskip(
         "pyarrow.parquet", reason="pyarrow is not installed (pip install 'canhaptic[export]')"
@@ -114,7 +112,7 @@ def test_floats_in_csv_read_back_to_the_same_bits(path: Path, tmp_path: Path, mo
         assert column.tobytes() == log.ports["handle"]["h_m"].tobytes()
 
 
-@pytest.mark.slow_but("mat")
+@pytest.mark.slow_but("csv")
 @pytest.mark.parametrize("suffix", ["csv", "parquet", "mat", "mcap"])
 def test_a_table_that_cannot_be_written_is_one_clear_error(path: Path, tmp_path: Path, suffix: str) -> None:
     target = tmp_path / "no" / f"run.{suffix}"
@@ -128,9 +126,7 @@ def test_another_suffix_is_refused_with_those_that_exist(path: Path, tmp_path: P
 
 
 @pytest.mark.slow
-def test_an_installed_package_exports_in_its_own_format(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_installed_package_exports_in_its_own_format(path: Path, tmp_path, monkeypatch) -> None:
     about = tmp_path / "site" / "my_tables-1.0.dist-info"
     about.mkdir(parents=True)
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my-tables\nVersion: 1.0\n")

@@ -133,9 +133,8 @@ def test_a_file_left_unreadable_is_put_aside_and_its_rows_are_counted_as_lost(tm
     assert (tmp_path / "run.h5.damaged").read_bytes() == b"a bad sector"
 
 
-def test_a_full_disk_stops_the_log_with_one_message_and_never_the_cycle(
-    tmp_path: Path, limit_files: Callable[[int], None]
-) -> None:
+@pytest.mark.slow
+def test_a_full_disk_stops_the_log_with_one_message_and_never_the_cycle(tmp_path, limit_files: Callable[[int], None]):
     limit_files(1_000_000)
     noise = np.random.default_rng(1).standard_normal((4096, 11)).tolist()
     writer = EnergyLogWriter(
@@ -190,9 +189,7 @@ LOSSES = [pytest.param(number, marks=pytest.mark.campaign if number > 11 else ()
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", LOSSES)
-def test_a_lost_power_and_a_full_disk_leave_logs_that_are_readable_to_the_last_flush(
-    tmp_path: Path, number: int
-) -> None:
+def test_a_lost_power_and_a_full_disk_leave_logs_that_are_readable_to_the_last_flush(tmp_path, number: int) -> None:
     path, bus, chance = tmp_path / "run.h5", tmp_path / "run.log", random.Random(number)
     program = RUN.format(folder=str(Path(__file__).parents[2]), path=str(path), bus=str(bus))
     kind = ("power", "energy log", "bus log")[number % 3]

@@ -85,9 +85,7 @@ HARM: dict[str, list[Callable[[Path], object]]] = {
 @pytest.mark.slow_but("*bus_log")
 @BOTH
 @pytest.mark.parametrize(("word", "harm"), [(word, harm) for word, harms in HARM.items() for harm in harms])
-def test_a_log_that_is_harmed_while_it_is_written_is_noticed_before_it_is_closed(
-    tmp_path: Path, make: Callable[..., Log], word: str, harm: Callable[[Path], None]
-) -> None:
+def test_a_log_that_is_harmed_while_it_is_written_is_noticed_before_it_is_closed(tmp_path, make, word, harm):
     path = tmp_path / "run.log"
     told: list[str] = []
     log = make(path, on_failure=told.append)
@@ -108,9 +106,7 @@ def test_a_log_that_is_harmed_while_it_is_written_is_noticed_before_it_is_closed
 
 @pytest.mark.slow_for("--bus-log")
 @pytest.mark.parametrize("option", ["--log", "--bus-log"])
-def test_a_run_whose_log_is_deleted_stops_and_says_so(
-    tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_whose_log_is_deleted_stops_and_says_so(tmp_path, option: str, capsys) -> None:
     path = tmp_path / "run.log"
 
     def delete() -> None:
@@ -164,9 +160,7 @@ def test_logs_go_onto_regular_files_alone_and_never_wait_for_one(tmp_path: Path,
 
 
 @pytest.mark.slow
-def test_pictures_pages_tables_and_scenes_go_onto_regular_files_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pictures_pages_tables_and_scenes_go_onto_regular_files_alone(tmp_path, capsys) -> None:
     log = tmp_path / "run.h5"
     assert main(["run", DEMO, "--duration", "0.1", "--log", str(log)]) == 0
     mine = tmp_path / "mine.txt"
@@ -214,9 +208,7 @@ def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None
 
 
 @pytest.mark.usefixtures("fresh_writer")
-def test_a_file_that_cannot_be_opened_in_time_does_not_hang_the_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_cannot_be_opened_in_time_does_not_hang_the_start(tmp_path, monkeypatch) -> None:
     """A mount that does not answer, as the writer process meets it: it never becomes ready."""
     monkeypatch.setattr(writer_process, "_PATIENCE", 0.3)
     monkeypatch.setattr(writer_process, "_PROGRAM", "import time; time.sleep(60)")
@@ -259,9 +251,7 @@ def test_the_writer_imports_nothing_from_the_working_folder(tmp_path: Path, name
 
 @pytest.mark.slow_for("energy")
 @pytest.mark.parametrize("key", ["energy", "bus"])
-def test_a_scene_replaces_no_file_outside_its_folder_and_says_where_it_writes(
-    tmp_path: Path, key: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scene_replaces_no_file_outside_its_folder_and_says_where_it_writes(tmp_path, key: str, capsys, monkeypatch):
     (tmp_path / "scenes").mkdir()
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
@@ -287,9 +277,7 @@ def test_a_scene_replaces_no_file_outside_its_folder_and_says_where_it_writes(
 
 @pytest.mark.parametrize("taken", ["run.h5", "run.log"])
 @pytest.mark.parametrize("named_by", ["option", "scene"])
-def test_a_log_that_exists_is_kept_and_nothing_is_started(
-    taken: str, named_by: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_that_exists_is_kept_and_nothing_is_started(taken: str, named_by: str, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("canhaptic.cli.run.build", lambda *_: pytest.fail("something was started"))
     Path(taken).write_text("mine")
@@ -312,9 +300,7 @@ def test_a_log_that_exists_is_kept_and_nothing_is_started(
         ["new", str(Path(DEMO).parents[1] / "eds" / "cia402_servo.eds"), "--out"],
     ],
 )
-def test_every_output_of_a_command_that_exists_is_kept(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_output_of_a_command_that_exists_is_kept(words: list[str], tmp_path, capsys) -> None:
     suffix = {"--markdown": "md", "--repair": "h5", "--out": "yaml"}.get(words[-1], words[-1].removeprefix("--"))
     taken = tmp_path / f"mine.{suffix}"
     taken.write_text("mine")
@@ -323,21 +309,6 @@ def test_every_output_of_a_command_that_exists_is_kept(
         f"canhaptic: error: {taken} already exists; --force replaces it, or name another file\n"
     )
     assert taken.read_text() == "mine"
-
-
-@pytest.mark.slow
-def test_a_picture_is_written_again_and_a_file_that_is_none_is_kept(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    picture, log, mine = tmp_path / "run.png", tmp_path / "run.h5", tmp_path / "mine.yaml"
-    words = ["run", DEMO, "--duration", "0.02", "--pace", "free", "--log", str(log)]
-    assert main(words) == 0
-    picture.write_text("old")
-    for target, status in ((picture, 0), (mine, 2)):
-        mine.write_text("mine")
-        assert main(["inspect", str(log), "--png" if target is picture else "--html", str(target)]) == status
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    assert mine.read_text() == "mine"
 
 
 def test_what_a_killed_run_left_of_a_log_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -359,9 +330,7 @@ def test_force_replaces_both_logs(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert list(read_bus_log(bus))
 
 
-def test_no_command_but_run_writes_what_a_scene_names(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_command_but_run_writes_what_a_scene_names(tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     named = [word for key in ("energy=run.h5", "bus=run.log") for word in ("--set", f"log.{key}")]
     assert main(["compare", DEMO, "--can", "--duration", "0.02", "--algorithms", "unprotected", *named]) == 0

@@ -47,9 +47,7 @@ def test_what_is_longer_is_cut(torn: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("block", [3, 100])
-def test_a_packed_copy_holds_whole_rows_in_their_order(
-    torn: Path, tmp_path: Path, block: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_packed_copy_holds_whole_rows_in_their_order(torn: Path, tmp_path, block: int, monkeypatch) -> None:
     monkeypatch.setattr(energy_sink, "_BLOCK", block)
     repack(torn, tmp_path / "packed.h5", {"status": "packed"})
     assert columns_of(tmp_path / "packed.h5") == {

@@ -87,9 +87,7 @@ SPANS = "times are those since the last frame (candump -td): they were added up"
         ([*range(0, 90_000, 1000), *range(0, 90_000, 1000)], False),  # two recordings in one file
     ],
 )
-def test_times_since_the_last_frame_are_added_up_and_those_from_zero_are_not(
-    tmp_path: Path, microseconds: list[int], are_spans: bool
-) -> None:
+def test_times_since_the_last_frame_are_added_up_and_those_from_zero_are_not(tmp_path, microseconds, are_spans) -> None:
     lines = [f" ({us // 1_000_000:03d}.{us % 1_000_000:06d})  can0  080   [0]\n" for us in microseconds]
     frames, said = read(tmp_path / "a.log", "".join(lines))
     expected = list(accumulate(microseconds)) if are_spans else microseconds
@@ -153,9 +151,7 @@ def as_pasted(*, timed: bool) -> str:
 
 
 @pytest.mark.slow
-def test_a_pasted_log_is_replayed_and_rederived_as_the_file_is_if_it_has_times(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pasted_log_is_replayed_and_rederived_as_the_file_is_if_it_has_times(tmp_path, capsys) -> None:
     scene, path = load_scene(ROOT / PLAN.config, PLAN.overrides), tmp_path / "a.txt"
     path.write_text(as_pasted(timed=True))
     result = replay_bus_log(path, scene)

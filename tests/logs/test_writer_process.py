@@ -30,9 +30,7 @@ def test_a_writer_is_not_pinned_where_the_controller_is(tmp_path: Path) -> None:
 
 @pytest.mark.slow_but("real-10")
 @pytest.mark.parametrize(("pace", "behind"), [("real", 10), ("free", 0)])
-def test_a_writer_gives_way_to_others_beside_a_cycle_in_real_time(
-    tmp_path: Path, pace: Literal["real", "free"], behind: int
-) -> None:
+def test_a_writer_gives_way_to_others_beside_a_cycle_in_real_time(tmp_path, pace: Literal["real", "free"], behind: int):
     log = BusLogWriter(tmp_path / "a.log", "can0", pace=pace)
     assert os.getpriority(os.PRIO_PROCESS, log.pid) == min(19, os.nice(0) + behind)
     assert os.sched_getscheduler(log.pid) == os.SCHED_OTHER

@@ -39,9 +39,7 @@ def test_a_benchmark_leaves_the_recorded_results_alone(tmp_path: Path) -> None:
         (str(report.RESULTS), ROOT / "docs" / "results", ROOT / "docs" / "images"),
     ],
 )
-def test_results_and_pictures_of_one_run_go_to_one_place(
-    folder: str | None, result: Path, picture: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_and_pictures_of_one_run_go_to_one_place(folder: str | None, result: Path, picture: Path, monkeypatch):
     monkeypatch.setattr(Path, "mkdir", lambda *_, **__: None)
     monkeypatch.delenv(report.OUT_VARIABLE, raising=False)
     if folder is not None:

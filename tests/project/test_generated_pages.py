@@ -81,9 +81,7 @@ def schema_of_scenes() -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("section", SECTIONS)
-def test_every_key_that_a_scene_may_have_is_in_its_section_of_the_page(
-    section: str, schema_of_scenes: dict[str, Any]
-) -> None:
+def test_every_key_that_a_scene_may_have_is_in_its_section_of_the_page(section: str, schema_of_scenes: dict[str, Any]):
     parts = re.split(r"^## ", CONFIGURATION, flags=re.MULTILINE)
     above, own = parts[1], [part for part in parts if re.match(rf"`{section}\b", part)]
     assert section in re.findall(ROW, above, re.MULTILINE)

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -48,9 +47,7 @@ def test_every_module_imports_and_a_scene_runs_without_posix() -> None:
     assert done.stdout.strip() == "yes"
 
 
-def test_a_log_is_refused_in_words_where_there_is_no_shared_memory(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_log_is_refused_in_words_where_there_is_no_shared_memory(monkeypatch, tmp_path) -> None:
     """Before the rig is enabled, and before a file is made."""
     monkeypatch.setattr(os, "name", "nt")
     with pytest.raises(LogWriteError, match=r"demo\.h5.*needs Linux or macOS; run without logs"):

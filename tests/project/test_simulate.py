@@ -36,28 +36,6 @@ def test_the_account_agrees_with_the_samples_and_with_the_plant(stiff: canhaptic
 
 
 @pytest.mark.slow
-def test_a_change_reaches_the_wall(stiff: canhaptic.SimulationResult) -> None:
-    soft = canhaptic.simulate(DEMO, {"environment.stiffness": 50.0}, duration=INTO_THE_WALL)
-    depths = [result.to_numpy()["true.handle.position"].min() for result in (soft, stiff)]
-    assert depths[0] < depths[1] - 1e-3
-
-
-@pytest.mark.slow
-def test_time_and_quantities_have_one_row_per_cycle(stiff: canhaptic.SimulationResult) -> None:
-    assert stiff.time.shape == (round(INTO_THE_WALL / stiff.sample_time),)
-    assert {values.shape for values in stiff.to_numpy().values()} == {stiff.time.shape}
-
-
-@pytest.mark.slow
-def test_a_saved_log_opens_and_is_never_overwritten(stiff: canhaptic.SimulationResult, tmp_path: Path) -> None:
-    path = stiff.save(tmp_path / "run.h5")
-    with canhaptic.EnergyLog(path) as log:
-        assert (log.rows, log.status) == (stiff.time.size, "completed")
-    with pytest.raises(InputError, match="choose another name"):
-        stiff.save(path)
-
-
-@pytest.mark.slow
 def test_a_log_has_the_account_of_its_run_and_its_columns(stiff: canhaptic.SimulationResult) -> None:
     with stiff.log() as log:
         for key in ("energy_in", "least_interaction", "certificate", "verdict", "first_active"):
@@ -67,16 +45,6 @@ def test_a_log_has_the_account_of_its_run_and_its_columns(stiff: canhaptic.Simul
 
 
 @pytest.mark.slow
-def test_a_log_knows_when_its_run_became_active(tmp_path: Path) -> None:
-    bare = canhaptic.simulate("hard/stiff_wall", {"passivity": {"algorithm": "unprotected"}}, duration=0.6)
-    with canhaptic.EnergyLog(bare.save(tmp_path / "bare.h5")) as log:
-        energy = np.cumsum(log.ports["handle"]["h_i"])
-        assert log.first_active is not None
-        assert log.first_active == bare.account.first_active
-        row = int(np.searchsorted(log.time, log.first_active))
-        assert energy[row] < 0.0 <= energy[row - 1]
-
-
 def test_a_table_of_pandas_names_the_units(stiff: canhaptic.SimulationResult) -> None:
     pytest.importorskip("pandas")
     table = stiff.to_pandas()

@@ -33,9 +33,7 @@ def empty(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_recording_without_torque_fails_unless_that_is_allowed(
-    empty: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_without_torque_fails_unless_that_is_allowed(empty: Path, capsys) -> None:
     words = ["replay", str(empty), "--config", str(DEMO), "--set", "environment.stiffness=900", "--quick"]
     assert main(words) == 1
     assert "handle: not tested: no torque was sent" in capsys.readouterr().out

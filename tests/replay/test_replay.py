@@ -92,9 +92,7 @@ def test_the_master_sends_today_what_it_sent_when_recorded(name: str) -> None:
         ("bound_group_of_handles", "multi_axis.group_certificates.hand_force_bound"),
     ],
 )
-def test_a_certificate_that_permits_a_little_more_changes_its_recording(
-    name: str, place: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_certificate_that_permits_a_little_more_changes_its_recording(name: str, place: str, monkeypatch) -> None:
     """Each is recorded where its torques are at the bound."""
     bound = resolve_name(f"canhaptic.control.{place}")
     monkeypatch.setattr(f"canhaptic.control.{place}", lambda *arguments: 1.05 * bound(*arguments))
@@ -251,9 +249,7 @@ def test_recordings_in_other_formats_are_replayed(suffix: str, tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_a_late_sync_and_a_skipped_one_are_as_late_in_the_replay(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_late_sync_and_a_skipped_one_are_as_late_in_the_replay(tmp_path, monkeypatch) -> None:
     write, counted, clock = Rig.write_torques, count(), WallClock()
 
     def write_late(rig: Rig, torques: list[float]) -> None:
@@ -334,9 +330,7 @@ def test_a_whole_minute_is_replayed_frame_by_frame(tmp_path: Path) -> None:
 # --- recordings that lack something -----------------------------------------------------------------------------------
 
 
-def test_a_recording_without_a_whole_cycle_is_not_identical_but_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_without_a_whole_cycle_is_not_identical_but_refused(tmp_path, capsys) -> None:
     lines = lines_of("demo")
     first = next(n for n, line in enumerate(lines) if " 080#" in line)
     path = tmp_path / "boot.log"
@@ -372,9 +366,7 @@ def test_a_difference_without_a_gap_names_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_can_fd_error_and_remote_frames_are_left_out_and_counted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_can_fd_error_and_remote_frames_are_left_out_and_counted(tmp_path, capsys) -> None:
     lines = lines_of("demo")
     time = lines[100].split()[0]
     odd = [f"{time} can0 181##1AABB R\n", f"{time} can0 20000080#0000000000000000 R\n", f"{time} can0 181#R\n"]

@@ -23,9 +23,7 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
-def test_every_frame_of_a_run_is_sent_again_and_another_scene_is_named(
-    log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_frame_of_a_run_is_sent_again_and_another_scene_is_named(log: Path, capsys) -> None:
     capsys.readouterr()
     assert main(["replay", str(log), "--config", str(SCENE), *SHORT]) == 0
     assert "identical" in capsys.readouterr().out

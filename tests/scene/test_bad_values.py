@@ -74,9 +74,7 @@ def test_a_mark_behind_a_value_with_a_hash_is_a_guess_all_the_same() -> None:
     assert guess[1:] == ("channel", "'a #1'", "its name")
 
 
-def test_an_object_that_the_dictionary_lacks_is_named_with_its_scene_and_drive(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_object_that_the_dictionary_lacks_is_named_with_its_scene_and_drive(capsys) -> None:
     assert main(["check", str(DEMO), "--set", "simulation.drive.objects={0x7777: 1}"]) == 2
     assert "demo.yaml: simulation.drive of handle: objects.0x7777.0: got 1, but" in capsys.readouterr().err
 

@@ -87,21 +87,6 @@ def test_the_energy_log_tells_what_was_run(tmp_path: Path) -> None:
         assert set(log.truth) == {"handle"}
 
 
-@pytest.mark.slow
-def test_an_error_in_the_block_is_the_status_of_the_log(tmp_path: Path) -> None:
-    scene = load_scene(scene_file(tmp_path))
-
-    def fail() -> None:
-        with build(scene, energy_log=tmp_path / "a.h5") as experiment:
-            run(experiment.cycle, cycles=5)
-            raise ZeroDivisionError("broken")
-
-    with pytest.raises(ZeroDivisionError):
-        fail()
-    with EnergyLog.open(tmp_path / "a.h5") as log:
-        assert log.status.startswith("failed: ZeroDivisionError: broken (test_build.py:")
-
-
 def test_two_axes_of_different_kind_run_on_one_bus(tmp_path: Path) -> None:
     own = (
         "    environment: {type: spring_damper_wall, stiffness: 1 N*m/rad, damping: 0.01}\n"

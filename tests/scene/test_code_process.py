@@ -120,9 +120,7 @@ def test_what_it_prints_is_bounded() -> None:
 
 
 @pytest.mark.slow
-def test_the_law_is_bit_for_bit_the_one_in_the_cycle_a_hold_later(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_law_is_bit_for_bit_the_one_in_the_cycle_a_hold_later(tmp_path, capsys) -> None:
     with build(scene_in(tmp_path), "free", tmp_path / "e.h5", tmp_path / "b.log") as experiment:
         run(experiment.cycle, 1500)
         assert experiment.code is not None
@@ -165,9 +163,7 @@ def test_the_law_is_bit_for_bit_the_one_in_the_cycle_a_hold_later(
         ("sys.exit()", OwnCodeError, r"torque is zero: wall.py at SYNC \d+: SystemExit"),
     ],
 )
-def test_what_it_does_wrong_ends_the_run_with_its_name(
-    deed: str, error: type[Exception], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_it_does_wrong_ends_the_run_with_its_name(deed, error: type[Exception], message, tmp_path, monkeypatch):
     monkeypatch.setattr(own_code, "_FREE_WAIT", 0.5)
     with build(scene_in(tmp_path, deed), "free") as experiment:
         with pytest.raises((error, Exception), match=message) as raised:
@@ -190,9 +186,7 @@ class Asked:
 
 
 @pytest.mark.slow
-def test_late_holds_ask_for_nothing_and_are_counted_and_answers_count_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_late_holds_ask_for_nothing_and_are_counted_and_answers_count_again(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(own_code, "allocate", lambda size: seen_by_owner(allocate(size)))
     controller, stopped = Asked(), list[tuple[StopReason, str]]()
 

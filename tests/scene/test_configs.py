@@ -71,9 +71,7 @@ def test_scenes_with_a_real_interface_are_among_the_shipped_ones() -> None:
         ("paper_fig9_100hz", 100.0, 10.0, -0.05, "internal_dissipation", 0.15),
     ],
 )
-def test_the_figures_carry_the_parameters_of_the_paper(
-    name: str, rate: float, damping: float, surface: float, algorithm: str, amplitude: float
-) -> None:
+def test_the_figures_carry_the_parameters_of_the_paper(name, rate, damping, surface, algorithm, amplitude) -> None:
     scene = load_scene(REPOSITORY / "configs" / f"{name}.yaml")
     [axis] = scene.axes
     wall = axis.environment.parameters.model_dump()

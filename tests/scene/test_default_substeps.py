@@ -90,15 +90,3 @@ def test_figures_of_a_plant_that_is_not_exact_come_with_its_error(tmp_path: Path
     assert "of 1 other scenes ERROR NOT KNOWN" in captured.err
     assert main(["sweep", "--map", table, "--json"]) in (0, 2)
     assert "with environment.stiffness=200: plant of handle: not exact, estimated error" in capfd.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_sweep_over_plants_tells_the_error_of_each_that_is_not_exact(
-    tmp_path: Path, capfd: pytest.CaptureFixture
-) -> None:
-    words = ["sweep", str(scene_file(tmp_path)), "--duration", "0.05", "--json"]
-    vary = ["--vary", f"simulation.effects=[],[{LUGRE}],[]", "--vary", "environment.stiffness=100:200:3"]
-    assert main([*words, *vary]) == 0
-    told = [line for line in capfd.readouterr().err.splitlines() if "plant of handle" in line]
-    assert len(told) == 2
-    assert all("lugre" in line and "estimated error" in line for line in told)

@@ -136,9 +136,7 @@ def real(of: dict[str, Any] | None = None, **axis: Any) -> AxisScene:
         ({}, {"watchdog": False}, "watchdog: true"),
     ],
 )
-def test_what_a_real_display_needs_is_named_where_it_is_missing(
-    of: dict[str, Any], axis: dict[str, Any], names: str
-) -> None:
+def test_what_a_real_display_needs_is_named_where_it_is_missing(of: dict[str, Any], axis: dict[str, Any], names: str):
     found = faults(real(of, **axis), is_real=True)
     if not names:
         assert found == []

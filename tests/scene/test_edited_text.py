@@ -74,9 +74,7 @@ def test_what_is_no_single_value_is_refused(path: tuple[str, ...]) -> None:
     values=st.dictionaries(st.sampled_from(["mass", "counts", "lag", "x"]), st.integers(1, 99), min_size=1),
     depth=st.sampled_from([("axes", "0"), ("axes", "0", "own", "deep"), ("axes", "1"), ("passivity",), ("new",), ()]),
 )
-def test_the_text_means_what_was_asked_for_and_every_other_line_stays(
-    values: dict[str, int], depth: tuple[str, ...]
-) -> None:
+def test_the_text_means_what_was_asked_for_and_every_other_line_stays(values: dict[str, int], depth: tuple[str, ...]):
     after = edited_text(TEXT, [Change((*depth, key), str(value), "measured") for key, value in values.items()])
     section = meant = yaml.safe_load(TEXT)
     for part in depth:

@@ -126,9 +126,7 @@ def test_faults_of_the_line_are_counted_and_the_account_holds() -> None:
     assert port["least_certain"] <= truth["least_interaction"] + 1e-12
 
 
-def test_a_count_of_held_torques_that_contradicts_the_host_is_a_no_in_run_and_log_which_has_the_phase(
-    tmp_path: Path,
-) -> None:
+def test_a_count_of_held_torques_that_contradicts_the_host_is_a_no_in_run_and_log_which_has_the_phase(tmp_path) -> None:
     experiment = build(load_scene(SCENE, [SOON, "simulation.bus={drift: 80 ppm}"]), energy_log=tmp_path / "run.h5")
     drive: Any = experiment.cables[""].drives[0]
     counter = drive.store.find(0x1C32, 11)
@@ -240,9 +238,7 @@ def test_a_bus_log_of_a_line_and_a_can_bus_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_new_writes_a_scene_of_the_drive_of_an_esi_that_runs_simulated_and_is_marked_on_an_interface(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_new_writes_a_scene_of_the_drive_of_an_esi_that_runs_simulated_and_is_marked_on_an_interface(tmp_path, capsys):
     place, esi = tmp_path / "rig.yaml", str(ROOT / "eds/ethercat_servo.xml")
     assert main(["new", esi, "--simulate", "--out", str(place)]) == 0
     account, error = build(load_scene(place)).run_through(50)

@@ -56,9 +56,7 @@ def test_the_interface_of_the_network_is_refused(computer: Path) -> None:
         require_preflight(load_scene(SCENE, ["bus.interface=eth1"]).loaded_buses)
 
 
-def test_a_link_that_is_down_in_a_bridge_or_not_permitted_is_refused(
-    computer: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_link_that_is_down_in_a_bridge_or_not_permitted_is_refused(computer: Path, monkeypatch) -> None:
     (computer / "net" / "eth1" / "flags").write_text("0x1002\n")
     (computer / "net" / "br0").mkdir()
     (computer / "net" / "eth1" / "master").symlink_to("../br0")

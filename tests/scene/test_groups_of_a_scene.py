@@ -2,8 +2,6 @@
 
 import itertools
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,6 @@ from canhaptic.cycle import Cycle, run
 from canhaptic.errors import ParameterError, SceneError
 from canhaptic.scene.build import build
 from canhaptic.scene.hints import hints_of
-from canhaptic.scene.json_schema import scene_schema
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
 from canhaptic.scene.parts import build_axis_controller, build_ports
@@ -211,41 +208,6 @@ def test_check_prints_the_groups(path: Path, capsys: pytest.CaptureFixture[str])
     told = json.loads(capsys.readouterr().out)
     assert list(told["config"]["groups"]) == [group.name for group in load_scene(path).groups]
     assert told["stability"]
-
-
-@pytest.mark.slow
-def test_the_schema_knows_the_keys_of_groups_and_mechanisms() -> None:
-    schema = scene_schema()
-    group = schema["properties"]["groups"]["anyOf"][0]["items"]
-    choices = group["properties"]["network"]["anyOf"]
-    networks: dict[str, Any] = {n["properties"]["type"]["const"]: n for n in choices if n["type"] == "object"}
-    [summed] = [n["items"]["oneOf"] for n in choices if n["type"] == "array"]
-    assert {"box", "sphere"} <= {n["properties"]["type"]["const"] for n in summed}
-    assert {"box", "sphere", "coupled_handles"} <= set(networks)
-    assert "stiffness" in networks["box"]["properties"]
-    algorithms = [choice["properties"] for choice in group["properties"]["passivity"]["anyOf"]]
-    assert all("moving_mass" in properties for properties in algorithms)
-    simulation = schema["properties"]["simulation"]["anyOf"][0]["properties"]
-    mechanisms = simulation["mechanisms"]["anyOf"][0]["items"]["oneOf"]
-    assert {m["properties"]["type"]["const"] for m in mechanisms} == {"five_bar", "xy_stage"}
-    assert all("hand" in m["properties"] for m in mechanisms)
-
-
-@pytest.mark.slow
-def test_a_scene_of_axes_alone_imports_no_mechanism_and_no_network() -> None:
-    script = (
-        "import sys\nfrom canhaptic.scene.build import build\nfrom canhaptic.scene.load import load_scene\n"
-        f"build(load_scene({str(CONFIGS / 'demo.yaml')!r})).close()\n"
-        "print(*sorted(n for n in sys.modules if n.startswith('canhaptic')))"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
-    names = set(done.stdout.split())
-    assert not names & {
-        "canhaptic.sim.plant.mechanism.five_bar_linkage",
-        "canhaptic.sim.plant.mechanism.xy_stage",
-        "canhaptic.control.port_hamiltonian.sampled_network", "canhaptic.control.port_hamiltonian.network",
-        "canhaptic.control.mechanisms.five_bar",
-    }  # fmt: skip
 
 
 def test_the_drives_of_a_mechanism_share_it() -> None:

@@ -154,9 +154,7 @@ def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_fault_is_shown_with_its_place_value_and_limits(
-    tmp_path: Path, replacement: Replacement, expected: str
-) -> None:
+def test_a_fault_is_shown_with_its_place_value_and_limits(tmp_path, replacement: Replacement, expected: str) -> None:
     lines = faults(tmp_path, replacement)
     assert any(expected in line for line in lines), "\n".join(lines)
 
@@ -247,9 +245,7 @@ _SURVIVES_A_LOSS = "passivity={algorithm: guarded, hand_force: null, device_damp
         ),
     ],
 )
-def test_a_drive_that_acts_in_another_hold_than_the_bus_says_is_refused(
-    tmp_path: Path, overrides: tuple[str, ...], words: str
-) -> None:
+def test_a_drive_that_acts_in_another_hold_than_the_bus_says_is_refused(tmp_path, overrides: tuple[str, ...], words):
     [line] = faults(tmp_path, overrides=overrides)
     assert words in line
 

@@ -14,7 +14,7 @@ from canhaptic.errors import InputError, SceneError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.replay import replay_bus_log
 from canhaptic.scene.load import load_scene, scene_from_text
-from tests.scene.scene_text import REPOSITORY, faults, scene_file
+from tests.scene.scene_text import faults, scene_file
 from tools.convert_scene import converted, main
 
 OLD_LOGS = Path(__file__).parent / "old_logs"
@@ -89,12 +89,6 @@ def test_the_tool_prints_the_scene_and_what_changed(capsys: pytest.CaptureFixtur
     assert "line 7: lost_frames is now max_consecutive_losses\n" in printed.err
 
 
-@pytest.mark.slow
-def test_shipped_scenes_have_no_old_name() -> None:
-    for path in sorted((REPOSITORY / "configs").rglob("*.yaml")):
-        assert converted(path.read_text())[1] == [], path
-
-
 # --- logs ---------------------------------------------------------------------------------------------------------
 
 
@@ -111,9 +105,7 @@ def test_an_old_energy_log_opens_and_its_scene_recomputes_to_the_bit(name: str, 
 
 @pytest.mark.slow_but("old_guarded")
 @pytest.mark.parametrize("name", NAMES)
-def test_an_old_bus_log_replays_frame_by_frame_from_its_boot_and_from_its_first_sync(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_old_bus_log_replays_frame_by_frame_from_its_boot_and_from_its_first_sync(name: str, tmp_path, capsys):
     """The start has learnt to read 0x1006, 0x60B2 and what it writes since, and leaves that out here."""
     path, config = unpacked(f"{name}.log", tmp_path), scene_of_now(name, tmp_path)
     scene = load_scene(config)

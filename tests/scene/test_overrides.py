@@ -69,9 +69,7 @@ def test_an_override_that_is_not_yaml_is_one_short_fault(tmp_path: Path) -> None
     assert len(line) < 300
 
 
-def test_a_dictionary_in_an_override_is_relative_to_the_current_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dictionary_in_an_override_is_relative_to_the_current_folder(tmp_path, monkeypatch) -> None:
     (tmp_path / "own.eds").write_bytes(SHIPPED_EDS.read_bytes())
     path = scene_file(tmp_path)
     monkeypatch.chdir(tmp_path)
@@ -138,9 +136,7 @@ def test_real_drives_keep_what_protects_them_from_a_plain_name() -> None:
 @pytest.mark.slow_but("passivity.algorithm=unprotected", "passivity={*")
 @pytest.mark.parametrize("override", ["passivity=unprotected", "passivity.algorithm=unprotected",
                                       "passivity={algorithm: unprotected}"])  # fmt: skip
-def test_no_override_takes_the_passivity_controller_from_real_drives(
-    override: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_override_takes_the_passivity_controller_from_real_drives(override: str, tmp_path, capsys) -> None:
     """Also where no key would be dropped; the file itself may say so, and a simulated rig takes each override."""
     text = re.sub(r"(?m)^  hand_(force|push):.*\n", "", (CONFIGS / "demo.yaml").read_text())
     text = text.replace("cia402_servo.eds", str(SHIPPED_EDS)).replace(

@@ -61,17 +61,6 @@ def refusal(folder: Path, environment: str, *, allow_code: bool = True) -> str:
     return str(raised.value)
 
 
-@pytest.mark.slow
-def test_an_own_wall_renders_from_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["run", str(folder / "scene.yaml"), "--set", ENVIRONMENT, "--duration", "1", "--pace", "free", "--json"]
-    assert main([*words, "--allow-code"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["own_code"] == {"runs_in": "cycle"}
-    port = result["ports"]["handle"]
-    assert port["in"] > 1e-4
-    assert port["least_interaction"] >= -1e-9
-
-
 def test_from_python_it_runs_with_permission_alone(folder: Path) -> None:
     values = {"type": "my_wall.py:CenteringSpring", "stiffness": 300.0, "damping": 1.0}
     with pytest.raises(SceneError, match="--allow-code"):
@@ -116,9 +105,7 @@ def test_what_is_no_regular_file_is_refused(folder: Path) -> None:
     assert "expected one of" in refusal(folder, "environment={type: 'os.path:join'}")  # no import by dotted name
 
 
-def test_a_file_beside_the_scene_comes_before_one_in_the_current_folder(
-    folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_beside_the_scene_comes_before_one_in_the_current_folder(folder: Path, tmp_path_factory, monkeypatch):
     current = tmp_path_factory.mktemp("current")
     monkeypatch.chdir(current)
     (current / "my_wall.py").write_text(SPRING.replace("200.0", "1.0"))
@@ -177,15 +164,6 @@ class Pull(OwnHand):
 
     def force(self, time: float, position: float, velocity: float) -> float:
         return -self.strength if time > 0.1 else 0.0
-"""
-ALGORITHM = """
-from canhaptic.control.passivity.unprotected import Unprotected
-
-(__import__("pathlib").Path(__file__).parent / "ran").touch()
-
-
-class Mine(Unprotected):
-    pass
 """
 
 
@@ -279,24 +257,6 @@ def test_a_wall_with_another_contact_says_where_it_switches_itself(folder: Path)
     scene = load_scene(folder / "scene.yaml", [ENVIRONMENT], allow_code=True)
     with pytest.raises(InputError, match="`surfaces`"):
         continuous_motion(scene, 1_000_000, 10)
-
-
-@pytest.mark.slow
-def test_an_own_algorithm_is_compared_with_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "mine.py").write_text(ALGORITHM)
-    words = ["compare", str(folder / "scene.yaml"), "--set", "passivity={algorithm: mine.py:Mine}"]
-    words += ["--algorithms", "mine.py:Mine,unprotected", "--duration", "1.5", "--json"]
-    assert main(words) == 2
-    assert not ran(folder)
-    capsys.readouterr()
-    assert main([*words, "--allow-code"]) == 0
-    found = json.loads(capsys.readouterr().out)["axes"]["handle"]["algorithms"]
-    mine, known = (
-        {key: value for key, value in found[name].items() if key != "microseconds_per_step"}
-        for name in ("mine.py:Mine", "unprotected")
-    )
-    assert mine == known
-    assert mine["status"] == "completed"
 
 
 @pytest.fixture

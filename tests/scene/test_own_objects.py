@@ -6,10 +6,8 @@ import pytest
 
 import canhaptic
 from canhaptic import Environment, extending
-from canhaptic.errors import InputError, SceneError
+from canhaptic.errors import InputError
 from canhaptic.extending import quantity
-from canhaptic.scene import own_code
-from canhaptic.scene.load import load_scene
 
 
 class MyWall(Environment):
@@ -31,16 +29,6 @@ def test_a_class_or_an_instance_is_an_environment(wall: object, stiffness: float
 
 def test_an_environment_has_one_class_under_all_its_names() -> None:
     assert canhaptic.Environment is extending.Environment is extending.OwnEnvironment
-
-
-@pytest.mark.slow
-def test_another_process_says_that_it_lacks_the_class(monkeypatch: pytest.MonkeyPatch) -> None:
-    overrides = canhaptic.simulate("demo", {"environment": MyWall}, duration=0.01, progress=False).scene.overrides
-    monkeypatch.setattr(own_code, "GIVEN", {})
-    with pytest.raises(
-        SceneError, match=r"MyWall: is a class or function of a Python program.*name it FILE\.py:MyWall"
-    ):
-        load_scene("demo", overrides)
 
 
 def test_an_object_without_parameters_is_refused() -> None:

@@ -86,9 +86,7 @@ def test_a_sensor_of_a_package_a_class_and_a_function_indicate_the_same() -> Non
 
 
 @pytest.mark.slow
-def test_what_is_installed_is_listed_and_a_broken_one_is_named_to_who_asks(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_installed_is_listed_and_a_broken_one_is_named_to_who_asks(tmp_path, capfd) -> None:
     assert main(["configs", "--json"]) == 0
     offered = json.loads(capfd.readouterr().out)["plug_ins"]
     assert offered["sink"] == {"count": "things 2.0", "fail": "things 2.0", "broken": "things 2.0"}
@@ -104,9 +102,7 @@ def test_what_is_installed_is_listed_and_a_broken_one_is_named_to_who_asks(
 
 
 @pytest.mark.slow
-def test_a_sink_gets_every_row_once_and_one_that_fails_ends_no_run(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_sink_gets_every_row_once_and_one_that_fails_ends_no_run(tmp_path, capfd) -> None:
     log = tmp_path / "run.h5"
     words = ["run", "demo", "--duration", "0.3", "--pace", "free", "--log", str(log), "--json"]
     assert main([*words, "--sink", "count", "--sink", "fail"]) == 0

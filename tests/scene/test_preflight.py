@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-from pathlib import Path
 
 import pytest
 
@@ -214,9 +213,7 @@ def test_a_bus_that_the_kernel_does_not_know_counts_as_real() -> None:
     assert all_links_are_virtual(load_scene(DEMO).loaded_buses, no_ip)  # the virtual bus of this process
 
 
-def test_a_marked_scene_runs_on_a_virtual_interface_alone(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_marked_scene_runs_on_a_virtual_interface_alone(monkeypatch, capsys) -> None:
     for stdout, words in ((WELL, "marked TO SET"), (VIRTUAL, "cannot be opened")):
         monkeypatch.setattr(preflight_module, "_run", answers(stdout))
         assert main(["run", str(EXAMPLE), "--duration", "0.1"]) in (2, 3)
@@ -271,9 +268,7 @@ def test_after_a_bus_off_for_good_the_drive_stops_by_its_own_watchdog() -> None:
 # --- the commands ---------------------------------------------------------------------------------------------------
 
 
-def test_run_refuses_before_it_opens_the_bus(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_run_refuses_before_it_opens_the_bus(tmp_path, monkeypatch, capsys) -> None:
     without_marks = tmp_path / "rig.yaml"
     eds = REPOSITORY / "eds" / "cia402_servo.eds"
     text = EXAMPLE.read_text().replace("# TO SET", "# set").replace("eds: cia402_servo.eds", f"eds: {eds}")
@@ -312,9 +307,7 @@ def test_the_ip_of_this_machine_is_asked_for_real() -> None:
 
 
 @pytest.mark.parametrize(("rate", "fits"), [(200, True), (1000, False)])
-def test_the_round_trip_to_each_drive_is_measured_and_judged(
-    rate: int, fits: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_round_trip_to_each_drive_is_measured_and_judged(rate: int, fits: bool, capsys) -> None:
     usb = "simulation.bus={jitter: 1 ms, bring_up: true}"  # each way up to one frame of full-speed USB
     assert main(["preflight", str(DEMO), "--bus", "--json", "--set", usb, "--set", f"bus.rate={rate}"]) == 0
     (trip,) = json.loads(capsys.readouterr().out)["round_trips"]

@@ -60,9 +60,7 @@ def test_every_profile_runs_whole_with_its_twin_on_our_dictionary(name: str) -> 
 
 
 @pytest.mark.parametrize(("file", "name"), VENDOR_FILES.items())
-def test_every_vendor_drive_runs_whole_with_its_profile(
-    file: str, name: str, vendor_eds: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_vendor_drive_runs_whole_with_its_profile(file: str, name: str, vendor_eds: Path, capsys) -> None:
     words = [f"axes.0.eds={vendor_eds / file}", f"axes.0.drive={name}", "environment.side=above"]
     overrides = [word for entry in words for word in ("--set", entry)]
     assert main(["run", str(DEMO), "--duration", "0.5", "--json", *overrides]) == 0
@@ -71,9 +69,7 @@ def test_every_vendor_drive_runs_whole_with_its_profile(
     assert result["truth"]["handle"]["accounted_error"] < 1e-3 * result["ports"]["handle"]["in"]
 
 
-def test_every_dictionary_of_the_folder_serves_whole_or_is_refused_whole(
-    vendor_eds: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_dictionary_of_the_folder_serves_whole_or_is_refused_whole(vendor_eds: Path, tmp_path, capsys) -> None:
     """For any file in the folder: the verdict, the check and a run with the profile of its make agree."""
     files = sorted([*vendor_eds.glob("*.eds"), *vendor_eds.glob("*.dcf")])
     assert files
@@ -90,9 +86,7 @@ def test_every_dictionary_of_the_folder_serves_whole_or_is_refused_whole(
 
 
 @pytest.mark.parametrize(("file", "name"), VENDOR_FILES.items())
-def test_the_make_of_a_dictionary_finds_its_profile(
-    file: str, name: str, vendor_eds: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_make_of_a_dictionary_finds_its_profile(file: str, name: str, vendor_eds: Path, capsys) -> None:
     assert main(["check-eds", str(vendor_eds / file), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["profile"] == name
     assert main(["new", str(vendor_eds / file)]) == 0

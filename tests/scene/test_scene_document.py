@@ -143,9 +143,7 @@ def test_an_alias_bomb_is_refused_quickly() -> None:
         "- " * 1_000,
     ],
 )
-def test_libyaml_reads_what_the_parser_in_python_reads_with_the_same_faults_and_places(
-    text: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_libyaml_reads_what_the_parser_in_python_reads_with_the_same_faults_and_places(text: str, monkeypatch) -> None:
     def seen() -> tuple[object, ...]:
         compose.cache_clear()
         faults = Diagnostics()

@@ -75,9 +75,7 @@ def test_accuracy_reaches_the_plant_and_the_hash(tmp_path: Path) -> None:
     assert plain.config_hash() != coarse.config_hash()
 
 
-def test_a_run_ends_where_the_plant_has_more_events_than_are_allowed(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_ends_where_the_plant_has_more_events_than_are_allowed(tmp_path, capfd) -> None:
     path = scene_file(tmp_path)
     status = main(
         [

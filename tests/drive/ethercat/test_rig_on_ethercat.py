@@ -150,9 +150,7 @@ def test_an_emergency_in_the_mailbox_ends_the_run() -> None:
         ({}, {"objects": {"0x6502": 0xA0}}, "drive modes: got 0x6502 = 0xa0"),
     ],
 )
-def test_a_drive_that_does_not_fit_is_refused_before_it_is_enabled(
-    axis: dict[str, object], drive: dict[str, object], text: str
-) -> None:
+def test_a_drive_that_does_not_fit_is_refused_before_it_is_enabled(axis, drive, text):
     b = Bench(axis=axis, drive=drive)
     with pytest.raises(StartError, match=text):
         b.rig.start()
