@@ -134,16 +134,6 @@ def test_a_log_has_no_values_in_another_file(name: str, log: Path, tmp_path, cap
         assert re.search("in another file|is a link", capsys.readouterr().err)
 
 
-@pytest.mark.slow
-def test_a_text_of_a_log_that_is_nested_too_deeply_is_one_error(log: Path, tmp_path, capsys) -> None:
-    path = tmp_path / "run.h5"
-    shutil.copy(log, path)
-    with h5py.File(path, "r+") as file:
-        file.attrs["config_resolved"] = "[" * 30_000
-    assert main(["inspect", f"{path}", "--recompute"]) == 2
-    assert "config_resolved cannot be read" in capsys.readouterr().err
-
-
 def test_a_container_that_unpacks_to_gigabytes_is_refused(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(bus_reader, "_UNPACKED", 1 << 20)
     content = struct.pack("<HHLLL", 2, 0, 0, 100, 0) + zlib.compress(bytes(1 << 21), 9)  # it claims 100 bytes

@@ -1,6 +1,5 @@
 """Groups of axes over the whole CAN path: the account of the group, the part of each axis, and the truth of both."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ import pytest
 
 from canhaptic.audit.inspection import inspect
 from canhaptic.audit.recompute import recompute_all, rederive
-from canhaptic.cli.main import main
 from canhaptic.control.balance import Branch
 from canhaptic.control.mechanisms.five_bar import FiveBar as MastersFiveBar
 from canhaptic.cycle import run
@@ -209,26 +207,6 @@ def test_what_a_mover_supplies_is_in_the_account_and_never_in_the_truth_of_the_m
         assert came_in.min() >= -1e-6
         assert np.abs(came_in + log.truth["stage"]["motor"]).max() <= 1e-9  # the log's port has what the mover gave too
         assert identity(log.ports["stage"]).max() <= 1e-12
-
-
-@pytest.mark.slow
-def test_the_account_on_the_terminal_and_as_json_is_that_of_the_group(capsys: pytest.CaptureFixture[str]) -> None:
-    config = str(REPOSITORY / "configs" / "xy_box.yaml")
-    assert main(["run", config, "--duration", "0.3", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["ports"]["stage"]["axes"] == ["x", "y"]
-    assert {"group", "unit", "in", "out"} <= result["ports"]["x"].keys()
-    assert not {"margin", "least_interaction", "deficit", "branches"} & result["ports"]["x"].keys()
-    assert result["ports"]["stage"]["limits"] == {"workspace": 0, "singular": 0, "unsolved": 0}
-    assert result["truth"]["stage"]["interaction"] == pytest.approx(
-        result["truth"]["x"]["interaction"] + result["truth"]["y"]["interaction"], abs=1e-15
-    )
-    assert main(["run", config, "--full", "--duration", "0.3"]) == 0
-    shown = capsys.readouterr().out
-    heading = next(line for line in shown.splitlines() if "energy account" in line).split()
-    assert heading == ["energy", "account", "stage", "x", "y"]
-    passive = next(line for line in shown.splitlines() if "passive at the motor" in line).split()
-    assert passive[4:] == ["yes", "-", "-"]
 
 
 @pytest.mark.slow_but("True-xy_box")

@@ -104,20 +104,3 @@ def test_a_wall_that_the_torque_limit_cuts_is_rendered_up_to_the_limit(tmp_path,
     for account in (ran, inspected):
         assert account["rendered"]["stiffness"] == pytest.approx(share, rel=1e-9)
         assert account["contact"]["sent"] == pytest.approx(abs(sent).sum(), rel=1e-9)
-
-
-@pytest.mark.slow
-def test_time_goes_on_while_syncs_are_skipped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "run.h5"
-    stall = "simulation.bus={stall: [{begin: 0.3, duration: 5 ms, every: 0.21}]}"
-    words = ["run", str(CONFIGS / "demo.yaml"), "--pace", "free", "--duration", "1", "--log", str(path), "--json"]
-    main([*words, "--set", stall])
-    ran = json.loads(capsys.readouterr().out)
-    skipped = ran["link"]["skipped_syncs"]
-    assert skipped >= 12
-    with EnergyLog.open(path) as log:
-        assert log.time[-1] == pytest.approx((999 + skipped) * 1e-3)
-        assert inspect(log)["to"] == pytest.approx(log.time[-1])
-        assert log.time_of(int(log.timing["sync_index"][-1]) + 2) == pytest.approx(log.time[-1] + 2e-3)
-    assert ran["duration"] == pytest.approx((1000 + skipped) * 1e-3)
-    assert ran["ports"]["handle"]["certificates"] in ([], ["none"])

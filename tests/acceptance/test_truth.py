@@ -137,6 +137,7 @@ def test_where_friction_alone_is_declared_lost_positions_leave_energy_open(rpdo)
         assert experiment.cycle.judge.believed_error[0] > 1e-7
 
 
+@pytest.mark.slow
 def test_a_hold_ended_by_a_late_sync_dissipates_for_its_own_length():
     assert judged(with_fault(random_scene(400828, further=False)))[1].false_claims == ()
 
@@ -271,6 +272,7 @@ def test_a_known_way_out_is_closed_where_it_is_declared_or_follows_from_the_scen
     assert row["yes"] == row["of"]
 
 
+@pytest.mark.slow
 def test_a_late_sync_that_is_declared_falsely_gives_energy_out_and_is_noticed():
     [way] = [way for way in WAYS if "0.49 T late" in way.what]
     row = row_of(way, 2)

@@ -89,6 +89,7 @@ def test_a_resolution_that_is_an_estimate_says_no_at_no_time() -> None:
     assert "active_since" not in port
 
 
+@pytest.mark.slow
 def test_below_zero_at_the_motor_a_promise_at_the_handle_holds() -> None:
     changes = {"environment.stiffness": "20 kN/m", "environment.damping": 0.0, "passivity.device_friction": "1 N",
                "passivity.hand_force": 5.0,

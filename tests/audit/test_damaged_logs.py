@@ -355,6 +355,7 @@ def test_a_running_count_that_falls_is_found(whole: Path, tmp_path: Path, capsys
         ("config_overrides", '["a"', "config_overrides cannot be read"),
         ("config_overrides", "{}", "config_overrides holds dict, expected list"),
         ("config_resolved", "[1]", "config_resolved holds list, expected dict"),
+        ("config_resolved", "[" * 30_000, "config_resolved cannot be read"),  # nested too deeply
     ],
 )
 def test_a_damaged_description_is_one_error(name: str, text: str, said: str, whole: Path, tmp_path: Path) -> None:

@@ -403,16 +403,6 @@ def test_comparison_finds_one_changed_bit_and_its_cycle(log: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_the_command_exits_with_one_when_a_check_or_comparison_fails(log: Path, tmp_path, capsys) -> None:
-    assert typed.inspect(log, "--check", "margin>=0") == 1
-    assert "FAILS" in capsys.readouterr().out
-    assert typed.inspect(log, "--compare", changed(log, tmp_path / "b.h5"), "--json") == 1
-    result = json.loads(capsys.readouterr().out)
-    assert result["comparison"]["differences"][0]["cycle"] == 1234
-    assert result["ports"]["handle"]["branches"]["exact"] == 1375
-
-
-@pytest.mark.slow
 def test_repair_saves_the_rows_before_the_damage(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     damaged, saved = tmp_path / "damaged.h5", tmp_path / "saved.h5"
     with h5py.File(damaged, "w") as file, h5py.File(log) as source:

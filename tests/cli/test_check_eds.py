@@ -219,17 +219,6 @@ def test_check_says_what_is_still_to_be_set(tmp_path: Path, capsys: Captured) ->
     assert (node["value"], node["note"]) == ("1", "as set in the drive")
 
 
-@pytest.mark.slow
-def test_check_of_a_scene_without_marks_or_with_simulated_drives_is_well(tmp_path: Path) -> None:
-    out = tmp_path / "rig.yaml"
-    assert main(["new", str(OURS), "--simulate", "--out", str(out)]) == 0
-    assert main(["check", str(out)]) == 0
-    out.unlink()
-    assert main(["new", str(OURS), "--out", str(out)]) == 0
-    out.write_text(out.read_text().replace(f"# {TO_SET}", "# set:"))
-    assert main(["check", str(out)]) == 0
-
-
 def test_what_a_dictionary_states_is_taken_over(tmp_path: Path, capsys: Captured) -> None:
     path = tmp_path / "known.eds"
     text = OURS.read_text().replace(

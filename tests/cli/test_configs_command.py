@@ -21,8 +21,3 @@ def test_a_copy_is_a_whole_scene_and_is_not_overwritten(tmp_path: Path, capsys: 
     capsys.readouterr()
     assert main(["configs", "--copy", str(tmp_path)]) == 2
     assert "already exists" in capsys.readouterr().err
-
-
-def test_the_table_names_the_demo(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["configs"]) == 0
-    assert "demo.yaml" in capsys.readouterr().out

@@ -52,15 +52,6 @@ def test_a_name_that_no_scene_has_is_answered_by_near_ones(wrong: str, answer: s
     assert answer in capsys.readouterr().err
 
 
-def test_the_command_alone_prints_help_in_the_order_of_a_user(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([]) == 0
-    shown = capsys.readouterr().out
-    places = [
-        shown.index(f"\n  {name}") for name in ("configs", "check ", "run", "new", "commission", "inspect", "design")
-    ]
-    assert places == sorted(places)
-
-
 @pytest.mark.parametrize(("wrong", "answer"), [("rnu", "did you mean 'run'"), ("xyz", "see --help")])
 def test_a_command_that_is_mistyped_is_answered_by_near_ones(wrong: str, answer: str, capsys) -> None:
     with pytest.raises(SystemExit, match="2"):

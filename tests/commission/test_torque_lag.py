@@ -167,6 +167,7 @@ def test_an_allowance_is_proposed_once_and_only_where_none_is_declared() -> None
     )
 
 
+@pytest.mark.slow
 def test_the_wall_ends_where_a_hold_is_over_before_its_torque_acts() -> None:
     """(2) of `hold_timing`: with theta = T a contact may give back what its own motion brings in."""
     axis = load_scene(DEMO).axes[0]

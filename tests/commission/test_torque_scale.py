@@ -102,15 +102,6 @@ def test_without_a_means_no_more_torque_is_sent_and_nothing_is_finished() -> Non
     assert report.unfinished(["handle"], ["torque scale"]) == ["handle: torque scale: not verified"]
 
 
-@pytest.mark.slow
-def test_the_first_pulse_is_one_count_of_the_drive_and_each_is_said_in_per_mille() -> None:
-    _, sent, said = report_of(means="no")
-    rising = list(dict.fromkeys(abs(torque) for torque in sent if torque))
-    assert rising[0] == 1
-    assert rising == sorted(rising)
-    assert any("from 0.01 N (1 per mille) up to 1 N (100 per mille) until it moves" in text for text in said)
-
-
 def test_a_rising_torque_ends_at_zero_where_the_axis_goes_too_far_or_nothing_is_lifted() -> None:
     for positions, end in (([0.0] * 99, ""), ([0.0, 0.5, 0.5], "moved further")):
         law = RisingTorque(0.1, 0.3, 2, Guard(0.2, 10.0), 0.1, lifts=True)

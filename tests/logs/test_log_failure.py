@@ -67,18 +67,3 @@ def test_a_scene_names_its_logs_and_bounds_their_size(tmp_path: Path, capsys: py
 def test_a_series_of_files_and_the_last_seconds_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", DEMO, "--set", "log={bus: a.log, last: 1, file_size: 1000}"]) == 2
     assert "exclude each other" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_what_ended_a_run_is_in_its_log_and_in_its_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = tmp_path / "run.h5"
-    words = ["run", DEMO, "--duration", "0.5", "--set", "axes.0.speed_limit=0.2", "--log", str(log), "--json"]
-    assert main(words) == 3
-    capsys.readouterr()
-    assert main(["inspect", str(log), "--json", "--svg", str(tmp_path / "run.svg")]) == 1
-    result = json.loads(capsys.readouterr().out)
-    (event,) = [each for each in result["events"] if each["kind"] not in ("hold", "unrestored")]
-    assert (event["kind"], event["port"], event["sync_index"]) == ("fault", "handle", result["cycles"])
-    assert "POSITION_JUMP" in event["text"]
-    last = (result["cycles"] - 1) * 1e-3  # the SYNC that found it has no row any more
-    assert f">{last:.4g} s: fault handle: the position moved faster" in (tmp_path / "run.svg").read_text()

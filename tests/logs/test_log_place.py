@@ -224,20 +224,8 @@ def test_a_file_that_cannot_be_opened_in_time_does_not_hang_the_start(tmp_path, 
 def test_the_writer_imports_nothing_from_the_working_folder(tmp_path: Path, name: str) -> None:
     """The controller is started so that it does not look there either."""
     (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'executed')!r}, 'w')\nraise SystemExit(7)\n")
-    command = [
-        sys.executable,
-        "-P",
-        "-m",
-        "canhaptic",
-        "run",
-        DEMO,
-        "--duration",
-        "0.1",
-        "--log",
-        "run.h5",
-        "--bus-log",
-        "run.log",
-    ]
+    words = ["run", DEMO, "--duration", "0.1", "--log", "run.h5", "--bus-log", "run.log"]
+    command = [sys.executable, "-P", "-m", "canhaptic", *words]
     trusted = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
     done = subprocess.run(command, cwd=tmp_path, env=trusted, capture_output=True, text=True, check=False)
     assert not (tmp_path / "executed").exists(), done.stderr

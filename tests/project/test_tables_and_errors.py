@@ -3,7 +3,7 @@ import inspect
 import pytest
 
 from canhaptic import errors
-from canhaptic.errors import CanHapticError, LinkError, ParameterError, RigError, SceneError, StartError, cause_of
+from canhaptic.errors import CanHapticError, LinkError, ParameterError, RigError, cause_of
 from canhaptic.registry import load
 
 
@@ -52,12 +52,3 @@ def test_rig_errors_carry_the_last_records() -> None:
     assert LinkError("lost", records=[1, 2]).records == (1, 2)
     assert isinstance(LinkError("lost"), TimeoutError)
     assert isinstance(LinkError("lost"), RigError)
-
-
-def test_a_start_error_names_drive_step_value_expectation_and_remedy() -> None:
-    error = StartError("x", "mode of operation", "8", "10", "choose a drive with cst")
-    assert str(error) == "x: mode of operation: got 8, expected 10; choose a drive with cst"
-
-
-def test_a_scene_error_lists_every_fault() -> None:
-    assert SceneError(["a:1:1: x", "a:2:1: y"]).faults == ("a:1:1: x", "a:2:1: y")

@@ -27,7 +27,6 @@ from tools.count_structure import loaded_modules
 ROOT = Path(__file__).resolve().parents[2]
 SCENE, TWIN = ROOT / "configs/ethercat.yaml", ROOT / "configs/ethercat_on_can.yaml"
 SOON = "simulation.user.motion={type: sinusoid, amplitude: 0.6 rad, frequency: 4 Hz, phase: 180 deg}"
-FAULTS = "simulation.bus={drift: 40 ppm, late: 1 %, lost: 1 %, answer_lost: 1 %, low_counter: 0.5 %}"
 
 
 def run(scene: Scene, cycles: int = 250) -> tuple[list[Any], Any, Any]:
@@ -114,16 +113,6 @@ def test_a_study_of_accuracy_offers_another_rpdo_on_a_can_bus_alone() -> None:
     on_line, on_can = (load_scene(path) for path in (SCENE, TWIN))
     assert [variant.group for variant in _delays(on_can, on_can)] == ["RPDO"]
     assert list(_delays(on_line, on_line)) == []
-
-
-@pytest.mark.slow
-def test_faults_of_the_line_are_counted_and_the_account_holds() -> None:
-    account, error = run(load_scene(SCENE, [SOON, FAULTS, "bus.loss_limit=1"]), 400)[1:]
-    assert error is None
-    assert account["link"]["held"] > 5
-    assert min(account["bus_effects"].values()) > 0
-    truth, port = account["truth"]["handle"], account["ports"]["handle"]
-    assert port["least_certain"] <= truth["least_interaction"] + 1e-12
 
 
 def test_a_count_of_held_torques_that_contradicts_the_host_is_a_no_in_run_and_log_which_has_the_phase(tmp_path) -> None:

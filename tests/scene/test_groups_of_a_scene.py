@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from canhaptic.cli.main import main
 from canhaptic.control.multi_axis.group_certificates import axes_of
 from canhaptic.control.multi_axis.group_controller import AxisGroup
 from canhaptic.control.passivity import LoopProperties
@@ -199,15 +198,6 @@ def test_the_hint_for_lost_frames_is_what_the_certificates_do() -> None:
     assert limit is not None
     assert apart.share_per_axis(torques, 0.999 * 20.0**2 / (2.0 * limit)) < 1.0
     assert apart.share_per_axis(torques, 1.001 * 20.0**2 / (2.0 * limit)) == 1.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("path", [STAGE, LINKS, HANDLES], ids=lambda path: path.stem)
-def test_check_prints_the_groups(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", str(path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert list(told["config"]["groups"]) == [group.name for group in load_scene(path).groups]
-    assert told["stability"]
 
 
 def test_the_drives_of_a_mechanism_share_it() -> None:

@@ -66,7 +66,6 @@ def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
             ("  damping: 10", "  damping: hard"),
             "scene.yaml:14:12: environment.damping: got 'hard', not a number with an optional unit; expected [N*s/m]",
         ),
-        (("  damping: 10", "  damping:"), "scene.yaml:14:11: environment.damping: got nothing, expected 0 <= damping"),
         (
             ("spring_damper_wall", "wall"),
             "scene.yaml:12:9: environment.type: unknown environment 'wall', expected one of",
@@ -81,22 +80,10 @@ def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
         ),
         (("algorithm: unprotected", "algorithm: 5"), "scene.yaml:15:24: passivity.algorithm: got 5, expected one of:"),
         (
-            ("{algorithm: unprotected}", "{algorithm: unprotected, moving_mass: -1}"),
-            "scene.yaml:15:50: passivity.moving_mass: got -1, expected 0 < moving_mass [kg]",
-        ),
-        (
-            ("{algorithm: unprotected}", "{algorithm: unprotected, moving_mas: 1}"),
-            "scene.yaml:15:37: passivity.moving_mas: unknown key; did you mean 'moving_mass'?",
-        ),
-        (
             ("passivity: {algorithm: unprotected}\n", ""),
             "scene.yaml:1:1: passivity: missing; give it here or in the axis",
         ),
         (("rpdo: event", "rpdo: evnt"), "scene.yaml:2:46: bus.rpdo: got 'evnt', expected 'synchronous' or 'event'"),
-        (("rate: 1 kHz", "rate: 1 s"), "scene.yaml:2:33: bus.rate: got '1 s', unit 's' does not fit; expected [Hz]"),
-        (("rate: 1 kHz, ", ""), "scene.yaml:2:6: bus.rate: missing, expected 1 <= rate <= 20000 [Hz]"),
-        (("rate: 1 kHz", "rate: 1e9"), "scene.yaml:2:33: bus.rate: got 1000000000.0, expected 1 <= rate <= 20000 [Hz]"),
-        (("node_id: 1", "node_id: 128"), "scene.yaml:5:14: axes.0.node_id: got 128, expected 1 <= node_id <= 127"),
         (("node_id: 1", "node_id: 1.5"), "scene.yaml:5:14: axes.0.node_id: got 1.5, expected 1 <= node_id <= 127"),
         (
             ("node_id: 1", "node_id: 126"),
@@ -104,44 +91,22 @@ def test_a_synchronous_torque_is_one_hold_late(tmp_path: Path) -> None:
         ),
         (("cia402_servo.eds", "none.eds"), "scene.yaml:6:10: axes.0.eds: got 'none.eds', no such file in"),
         (("cia402_servo.eds", "scene.yaml"), "scene.yaml:6:10: axes.0.eds: scene.yaml: lists no object"),
-        (("unit: m", "unit: mm"), "scene.yaml:7:11: axes.0.unit: got 'mm', expected 'm' or 'rad'"),
-        (
-            ("    counts_per_unit: 1e6\n", ""),
-            "scene.yaml:4:5: axes.0.counts_per_unit: missing, expected 0 < counts_per",
-        ),
-        (("counts_per_unit: 1e6", "counts_per_unit: 0"), "axes.0.counts_per_unit: got 0, expected 0 < counts_per_unit"),
         (
             ("unit: m\n", "unit: m\n    drive: eposs\n"),
             "scene.yaml:8:12: axes.0.drive: got 'eposs', expected one of: copley, ",
         ),
-        (
-            ("  plant: {mass: 0.25,", "  plant: {mass: 0,"),
-            "scene.yaml:17:17: simulation.plant.mass: got 0, expected 1e-12 <=",
-        ),
-        (
-            ("amplitude: 0.1", "amplitud: 0.1"),
-            "simulation.user.motion.amplitud: unknown key; did you mean 'amplitude'?",
-        ),
         (("  plant:", "  effects: [{type: jelly}]\n  plant:"), "simulation.effects.0.type: unknown effect 'jelly'"),
         (("  plant:", "  effects: {type: jelly}\n  plant:"), "simulation.effects: got a mapping, expected a list of"),
         (("  plant:", "  effects: [5]\n  plant:"), "simulation.effects.0: got 5, expected a mapping of type and"),
-        (("  plant:", "  seed: -1\n  plant:"), "scene.yaml:17:9: simulation.seed: got -1, expected 0 <= seed <= 1e9"),
-        (("  plant:", "  plnt:"), "scene.yaml:17:3: simulation.plnt: unknown key; did you mean 'plant'?"),
         (
             ("  plant:", "  axes: {hand: {}}\n  plant:"),
             "scene.yaml:17:10: simulation.axes.hand: unknown key; did you mean",
         ),
         (
-            ("  plant:", "  axes: {handle: {plat: 1}}\n  plant:"),
-            "simulation.axes.handle.plat: unknown key; did you mean",
-        ),
-        (
             ("  plant:", "  drive: {objects: {x: 1}}\n  plant:"),
             "simulation.drive.objects: 'x' names no obj",
         ),
-        (("duration: 1 s", "duration: -1"), "scene.yaml:1:11: duration: got -1, expected 0 < duration <= 1e6 [s]"),
         (("duration: 1 s", "durations: 1 s"), "scene.yaml:1:1: durations: unknown key; did you mean 'duration'?"),
-        (("duration: 1 s", "log: {enrgy: x.h5}"), "scene.yaml:1:7: log.enrgy: unknown key; did you mean 'energy'?"),
         (("duration: 1 s", "log: x.h5"), "scene.yaml:1:6: log: got 'x.h5', expected a mapping of keys and values"),
         (("bus: {", "bus: [] #"), "scene.yaml:2:6: bus: got an empty list, expected at least one bus"),
         (

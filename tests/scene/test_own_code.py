@@ -321,13 +321,3 @@ def test_a_sweep_gives_its_workers_the_code_of_the_flag_alone(folder: Path, caps
     assert "--allow-code" in refused.remark
     (folder / "my_wall.py").write_text(SPRING + "\n# changed\n")
     assert "is not the code of" in scene_of_row(replace(recipe, cycles=11), row).remark
-
-
-@pytest.mark.slow
-def test_a_varied_value_may_name_code_with_the_flag(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "other.py").write_text(SPRING)
-    values = "environment={type: my_wall.py:CenteringSpring, stiffness: 100, damping: 1}"
-    vary = "environment.type=my_wall.py:CenteringSpring,other.py:CenteringSpring"
-    words = ["sweep", str(folder / "scene.yaml"), "--set", values, "--vary", vary, "--cycles", "100"]
-    assert main([*words, "--allow-code", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["status"] == {"completed": 2}
