@@ -466,18 +466,3 @@ def test_an_arm_of_two_displays_renders_a_mass_in_the_plane(capsys: pytest.Captu
     assert main(["compare", str(scene), "--duration", "0.2", "--json"]) == 0
     compared = json.loads(capsys.readouterr().out)["axes"]["handle"]
     assert set(compared) == set(DISPLAY_ALGORITHMS)
-
-
-@pytest.mark.parametrize(("dictionary", "analog"), [("maxon_epos4.dcf", "0x3160.1"), ("elmo_gold.dcf", "0x2205.1")])
-@pytest.mark.parametrize("mode", ["velocity", "position"])
-def test_a_vendor_dictionary_serves_with_its_analog_input(vendor_eds: Path, dictionary: str, analog: str, mode: str):
-    account, _ = _run(
-        f"axes.0.eds={vendor_eds / dictionary}",
-        f"axes.0.admittance.force.object={analog}",
-        f"axes.0.admittance.mode={mode}",
-        "axes.0.admittance.velocity_counts=5e4",
-        "simulation.drive.objects={0x6502: 0x3A5}",
-        cycles=800,
-    )
-    assert account["truth"]["handle"]["interaction"] > 0.3
-    assert account["ports"]["handle"]["passive"] != "no"

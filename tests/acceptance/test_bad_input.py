@@ -121,15 +121,3 @@ def refused(case: Case, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
 @pytest.mark.parametrize("what", CASES)
 def test_bad_input_is_one_clear_error_and_no_torque(what: str, tmp_path, monkeypatch, capsys) -> None:
     refused(CASES[what], tmp_path, monkeypatch, capsys)
-
-
-@pytest.mark.parametrize(
-    ("name", "reasons"),
-    [
-        ("elmo_simpliq.dcf", ("0x6502 supported drive modes: got 0x006d, expected bit 9",)),
-        ("maxon_epos2.eds", ("0x6071 target torque: missing",)),
-        ("schunk_prl.dcf", ("0x6071 target torque: missing", "0x6502 supported drive modes: got 0x0043")),
-    ],
-)
-def test_a_dictionary_without_cyclic_torque_sends_no_frame(name, reasons, vendor_eds, tmp_path, monkeypatch, capsys):
-    refused(Case((f"axes.0.eds={vendor_eds / name}",), 2, reasons), tmp_path, monkeypatch, capsys)

@@ -1,6 +1,5 @@
 """`canhaptic home` as it is typed: agreed to, declined, stopped, and refused with nothing sent."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -88,24 +87,6 @@ def test_a_signal_in_the_middle_ends_with_its_status_and_zero_torque(tmp_path, m
     assert 0x1F in words
     assert (words[-1], 0x10F in words) == (0x00, True)
     assert "stopped before home was found" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--torque", "21"), "--torque: got 21 N, expected more than 0, at most 20 N"),
-        (("--torque", "nan"), "--torque: got nan N"),
-        (("--axis", "elbow"), "--axis: got elbow, expected one of: handle"),
-        (("--method", "7"), "--method: got 7, expected one of 1, 2, 17"),
-    ],
-)
-def test_an_order_that_is_not_safe_is_refused_in_one_line(
-    tmp_path: Path, words: Sequence[str], message: str, sent: list[tuple[int, bytes]],
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    assert main(["commission", "--home", scene(tmp_path), *WORDS, *words, "--yes"]) == 2
-    assert message in capsys.readouterr().err
-    assert sent == []
 
 
 @pytest.mark.parametrize("missing", ["--method", "--speed", "--torque"])

@@ -7,7 +7,7 @@ from typing import Any
 import can
 import pytest
 
-from canhaptic.drive.can.pdo_map import check_dictionary, require_fit
+from canhaptic.drive.can.pdo_map import check_dictionary
 from canhaptic.drive.profile.fitness import Verdict, agreed_rated_torque
 from canhaptic.errors import BusBudgetError, DictionaryError, InputError, StartError
 from canhaptic.sim.drive.profile.state_machine import DriveState
@@ -205,20 +205,6 @@ def test_two_axes_with_one_node_id_are_refused(bench: MakeBench) -> None:
 def test_a_drive_with_the_node_id_of_the_master_is_refused(bench: MakeBench) -> None:
     with pytest.raises(InputError, match=r"node_id 126 is used by the master.*bus\.master_id"):
         bench([axis(126)])
-
-
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("elmo_simpliq.dcf", "0x6502 supported drive modes: got 0x006d, expected bit 9"),
-        ("maxon_epos2.eds", "0x6071 target torque: missing"),
-        ("schunk_prl.dcf", "0x6071 target torque: missing"),
-    ],
-)
-def test_vendor_drives_without_cyclic_torque_are_refused_with_the_reason(vendor_eds: Path, name: str, reason: str):
-    parameters = axis(eds=vendor_eds / name)
-    with pytest.raises(DictionaryError, match=reason):
-        require_fit(dictionary(parameters), parameters)
 
 
 def edited(tmp_path: Path, section: str, **entries: str | None) -> Path:

@@ -6,7 +6,7 @@ import pytest
 
 from canhaptic.errors import SceneError
 from canhaptic.scene.load import load_scene, scene_from_mapping, scene_from_text
-from tests.scene.scene_text import REPOSITORY, SCENE, SECOND_AXIS, SHIPPED_EDS, Replacement, faults, scene_file
+from tests.scene.scene_text import SCENE, SECOND_AXIS, SHIPPED_EDS, Replacement, faults, scene_file
 
 
 def test_a_scene_is_read_in_si(tmp_path: Path) -> None:
@@ -235,18 +235,6 @@ def test_a_bus_that_is_too_slow_is_refused_with_the_arithmetic(tmp_path: Path) -
     [line] = faults(tmp_path, overrides=("bus.bitrate=125 kbit/s",))
     assert line.startswith("scene.yaml:2:33: bus.rate: the cycle does not fit the bus: 1 SYNC x 55 + 1 TPDO x 135")
     assert "what fits: rate: " in line
-
-
-def test_an_unfit_dictionary_is_refused_with_every_reason(tmp_path: Path, vendor_eds: Path) -> None:
-    lines = faults(tmp_path, overrides=(f"axes.0.eds={vendor_eds / 'schunk_prl.dcf'}",))
-    assert any("0x6071 target torque: missing" in line for line in lines)
-    assert any("0x6502 supported drive modes: got 0x0043, expected bit 9" in line for line in lines)
-
-
-@pytest.mark.parametrize("name", ["elmo_gold.dcf", "kollmorgen_rgm.eds", "maxon_epos4.dcf", "zeroerr_erob.eds"])
-def test_the_demo_takes_every_cyclic_torque_dictionary(name: str, vendor_eds: Path) -> None:
-    scene = load_scene(REPOSITORY / "configs" / "demo.yaml", [f"axes.0.eds={vendor_eds / name}"])
-    assert scene.axes[0].parameters.eds == vendor_eds / name
 
 
 # --- sections of an axis ------------------------------------------------------------------------------------------
