@@ -3,8 +3,7 @@
 Random guarded scenes (friction, stops, backlash, current loops, hands; 0.1 to 20 ms) against an independent judge with
 located events, and against the same plant with its sample time cut into 32. A scene whose events differ because it is
 chaotic (its own runs with other ticks differ as well) or grazes within 1e-9 of a guard is listed, not counted.
-Stribeck friction is fitted for its order. `--scenes N` judges N scenes and screens 4 N. Hard plants have rows of what
-their holds cost; one hour is left out with `--no-hour`.
+Stribeck friction is fitted for its order. `--scenes N` judges N scenes and screens 4 N.
 """
 
 import argparse
@@ -20,7 +19,6 @@ from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.plant.read_effect import read_effect
 from tools.bench.plants.affine_judge import judged
-from tools.bench.plants.hard_costs import cost_rows, hour_row
 from tools.bench.plants.random_scenes import RandomScene, apart, random_scene
 from tools.bench.report import Row, out_folder, publish, write_result
 
@@ -112,12 +110,9 @@ def main() -> None:
     """Judges, screens and publishes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=500)
-    parser.add_argument("--no-hour", action="store_true")
-    arguments = parser.parse_args()
-    count = arguments.scenes
+    count = parser.parse_args().scenes
     rows, table = judge_all(count)
-    rows += [screen_all(4 * count), servo_row(), stribeck_row(), *cost_rows()]
-    rows += [] if arguments.no_hour else [hour_row()]
+    rows += [screen_all(4 * count), servo_row(), stribeck_row()]
     publish("plant_truth", rows, _PACKAGES)
     write_result(out_folder() / "plant_truth_scenes.json", _PACKAGES, {"scenes": table})
 

@@ -1,4 +1,4 @@
-"""The users, plants and walls of the acceptance figures A1-A12, so that benches and tests measure the same thing."""
+"""Users, plants and walls that benches and tests measure alike."""
 
 import random
 from collections.abc import Mapping
@@ -24,7 +24,6 @@ from tools.bench.user_laws import USERS, HandPlant
 
 PLANT: Final = PlantParameters(mass=0.25, damping=0.1)
 USER_S: Final = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))
-FIGURES_4_5: Final = SpringDamperWall(stiffness=100.0, damping=5.0)
 FIGURES_7_9: Final = SpringDamperWall(stiffness=100.0, damping=10.0, position=-0.05)
 TREMOR_UNTIL: Final = 9.0  # [s], then the hand only leans on the wall
 LEANING: Final = UserParameters(stiffness=300.0, damping=3.0, push=-4.0)

@@ -25,7 +25,7 @@ from tools.bench.plants.peers import mujoco_rollout
 from tools.bench.plants.scenes import easy
 from tools.bench.report import Row, publish
 from tools.bench.standard_cases import PLANT, USER_S, loop_in_arrays, standard_case
-from tools.bench.sweep_events import FIVE, event_rows, jax_rows, start_rows
+from tools.bench.sweep_events import FIVE, event_rows, start_rows
 
 SCENES, CYCLES, RATE, REPEATS = 10_000, 1000, 1000.0, 3
 FIGURE = f"{SCENES} scenes x {CYCLES} cycles"
@@ -217,7 +217,7 @@ def _peak() -> float:
 def main() -> None:
     """Measures every figure and publishes table and JSON."""
     makers: tuple[Callable[[], list[Row]], ...] = (
-        rate_rows, event_rows, jax_rows, start_rows, scalar_rows, colgate_rows, memory_rows,
+        rate_rows, event_rows, start_rows, scalar_rows, colgate_rows, memory_rows,
     )  # fmt: skip
     publish("sweep", [row for make in makers for row in make()], ["canhaptic", "numpy", "numba", "mujoco"])
 

@@ -1,11 +1,9 @@
 """How fast are sweeps of plants with stops and friction, and how soon is the first row of a second start there?
 
-For comparison MuJoCo moves a slide with dry friction and a limit, in a loop of Python that computes the wall's torque;
-JAX moves a linear plant and an unprotected wall (vmap over scan) where JAX_PYTHON names an interpreter that has it.
+For comparison MuJoCo moves a slide with dry friction and a limit, in a loop of Python that computes the wall's torque.
 """
 
 import importlib.util
-import json
 import os
 import subprocess
 import sys
@@ -13,7 +11,6 @@ from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
-from typing import Any
 
 import numpy as np
 
@@ -37,27 +34,6 @@ PLANTS = {
     "{type: backlash, gap: 1e-4}",
 }
 ASKED = "stop and Coulomb friction"
-_JAX = """
-import json, time, jax, jax.numpy as jnp, numpy as np
-jax.config.update("jax_enable_x64", True)
-flow = jnp.array(FLOW)
-def loop(stiffness, damping):
-    def hold(carry, _):
-        z, before, worst = carry
-        position = z[0]
-        depth = jnp.minimum(position, 0.0)
-        torque = jnp.where(position < 0.0, -stiffness * depth - damping * (position - before) / 1e-3, 0.0)
-        z = flow @ z.at[-2].set(torque)
-        return (z, position, jnp.maximum(worst, jnp.abs(torque))), None
-    start = jnp.array(START)
-    return jax.lax.scan(hold, (start, start[0], 0.0), None, length=CYCLES)[0][2]
-run = jax.jit(jax.vmap(loop))
-a = jnp.asarray(10.0 ** np.linspace(2, 5, SCENES)), jnp.asarray(10.0 ** np.linspace(-1, 2, SCENES))
-run(*a).block_until_ready()
-begin, used = time.perf_counter(), time.process_time()
-run(*a).block_until_ready()
-print(json.dumps([SCENES * CYCLES / (time.process_time() - used) / 1e6, jax.__version__]))
-"""
 
 
 def event_rows() -> list[Row]:
@@ -96,26 +72,6 @@ def _mujoco_loop() -> float | None:
         data.ctrl[0], before = wall + push[k], position
         mujoco.mj_step(model, data)
     return count / (process_time() - begin) / 1e6
-
-
-def jax_rows() -> list[Row]:
-    """Returns the cycles per second of JAX, where JAX_PYTHON names an interpreter that has it."""
-    python = os.environ.get("JAX_PYTHON")
-    name = "JAX, vmap over scan: unprotected, linear plant, peak torque alone"
-    if not python:
-        return [Row(f"{name}: peer absent (JAX_PYTHON names no interpreter)", float("nan"), "M cycles/s")]
-    from canhaptic.scene.far_side import build_plant
-
-    scene = load_scene(CONFIG)
-    simulation: Any = scene.axes[0].simulation
-    plant = build_plant(simulation, scene.bus.sample_time_ns)
-    program = _JAX.replace("FLOW", repr(plant.whole_flow().tolist())).replace(
-        "START", repr(plant.scene.initial_state().tolist())
-    )
-    program = program.replace("SCENES", "2000").replace("CYCLES", str(CYCLES))
-    found = subprocess.run([python, "-c", program], capture_output=True, text=True, check=True)
-    rate, version = json.loads(found.stdout.splitlines()[-1])
-    return [Row(f"{name}, JAX {version}", rate, "M cycles/s", note="processor time of all its threads together")]
 
 
 def start_rows() -> list[Row]:
