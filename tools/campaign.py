@@ -114,7 +114,7 @@ def dictionary_case(chance: random.Random, folder: Path, run: Session) -> str:
     sources = sorted([*(ROOT / "eds").glob("*.eds"), *(ROOT / "tests" / "sim_drive" / "eds").glob("*.eds")])
     path, made = folder / "drive.eds", folder / "made.yaml"
     path.write_bytes(mutated_dictionary(chance, chance.choice(sources).read_text(encoding="utf-8", errors="replace")))
-    run("check-eds", path)
+    run("check-eds", path, *chance.choice(((), ("--json",))))
     if run("new", path, "--simulate", "--out", made) != 0:
         return ""
     refused = [name for name in (("check", made), ("run", made, *_SHORT)) if run(*name) != 0]
@@ -125,7 +125,8 @@ def energy_log_case(chance: random.Random, folder: Path, run: Session) -> str:
     """An energy log, as `inspect` takes it."""
     whole, path = folder / "run.h5", folder / "damaged.h5"
     path.write_bytes(mutated_hdf5(chance, whole.read_bytes()))
-    run("inspect", path)
+    more = chance.choice(((), ("--json",), ("--compare", whole), ("--csv", folder / "table.csv")))
+    run("inspect", path, *more)
     has_passed = run("inspect", path, "--check", "in >= 0", "--recompute") == 0
     run("inspect", path, "--repair", folder / "repaired.h5", "--recompute")
     return "inspect passes though a column differs" if has_passed and not _same_columns(whole, path) else ""
@@ -135,9 +136,9 @@ def bus_log_case(chance: random.Random, folder: Path, run: Session) -> str:
     """A bus log, as `inspect --frames`, `replay` and `inspect` take it."""
     whole, path = folder / "run.log", folder / "damaged.log"
     path.write_bytes(mutated_frames(chance, whole.read_bytes()))
-    run("decode", path)
+    run("decode", path, *chance.choice(((), ("--json",), ("--config", DEMO))))
     run("inspect", path, "--config", DEMO, "--check", "in >= 0")
-    if run("replay", path, "--config", DEMO) != 0:
+    if run("replay", path, "--config", DEMO, *chance.choice(((), ("--json",), ("--account",), ("--from-sync",)))) != 0:
         return ""
     expected, found = _sent(whole), _sent(path)
     return "" if found == expected[: len(found)] or found == expected[-len(found) :] else "replay passes a wrong frame"

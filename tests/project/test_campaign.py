@@ -11,8 +11,6 @@ import pytest
 from tools import campaign
 from tools.campaign import CASES, Session, run_case
 
-RECORDED = 4
-
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -22,10 +20,12 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("cases", [6, pytest.param(100, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize("kind", CASES)
-def test_a_short_campaign_finds_nothing(kind: str, recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert campaign.campaign(kind, range(RECORDED), 1, recorded, time.monotonic() + 60.0) == 0
-    assert f"{kind}: {RECORDED} cases, 0 faulty" in capsys.readouterr().out
+def test_a_campaign_finds_nothing(kind: str, cases: int, recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert campaign.campaign(kind, range(cases), 1, recorded, time.monotonic() + 800.0) == 0
+    assert f"{kind}: {cases} cases, 0 faulty" in capsys.readouterr().out
 
 
 @pytest.mark.slow
