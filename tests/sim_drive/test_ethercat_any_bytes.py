@@ -14,6 +14,8 @@ def test_mutated_answers_make_the_master_raise_nothing_but_errors_of_a_rig() -> 
 
 
 @pytest.mark.slow
-def test_ten_thousand_mutated_frames_each_way() -> None:
-    assert attack_drives(10_000, seed=2) == 0
-    assert attack_master(60, seed=2) > 5_000
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("frames", [10_000, pytest.param(1_000_000, marks=pytest.mark.campaign)])
+def test_many_mutated_frames_each_way(frames: int) -> None:
+    assert attack_drives(frames, seed=2) == 0
+    assert attack_master(frames // 160, seed=2) > frames // 2

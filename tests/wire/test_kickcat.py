@@ -2,11 +2,29 @@
 
 import subprocess
 import sys
+from typing import Final
 
 import pytest
 
 from tests.wire.veth import FarEnd, require, veth
-from tools.bench.ethercat_wire import KICKCAT
+
+KICKCAT: Final = """
+import os, sys, kickcat
+from datetime import timedelta
+os.sched_setaffinity(0, {0})
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))
+second = timedelta(seconds=1)
+bus = kickcat.Bus(kickcat.create_link(sys.argv[1], ""))
+bus.init(second)
+bus.create_mapping(256)
+bus.request_state(kickcat.State.SAFE_OP)
+bus.wait_for_state(kickcat.State.SAFE_OP, second)
+for _ in range(5):
+    bus.process_data_no_check()
+bus.request_state(kickcat.State.OPERATIONAL)
+bus.wait_for_state(kickcat.State.OPERATIONAL, second, lambda: bus.process_data_no_check())
+"""
+"""Takes the drives of an interface to OP."""
 
 
 @pytest.mark.slow
