@@ -7,28 +7,25 @@ its caller, and machine code is emitted once, for the kernel.
 **Zeros.** A field of settings that is 0 in all scenes (`canhaptic.kernels.OFTEN_ZERO`) is a constant of their loop. A
 branch that needs another value is left out, with the functions that only it calls.
 
-**Passes.** numba takes each function through 27 passes over its code, and looks up the lifetimes of its variables after
-most of them. Most passes look for what no kernel has: closures, contexts, generators, expressions of whole arrays,
-calls that are to be inlined, exceptions with computed texts, counted references. `Steps` leaves them out.
-
 **Types.** numba looks for the meaning of `a * b` among all implementations, at every place. Within `linked` the answer
 for an operation and types of operands is kept.
 
 None of it changes an operation of the kernel or their order. It reaches into numba, so that only the versions that
-`canhaptic.lab.batch` names compile. numba's own procedure took 4 to 5 times as long for the first sweep of a kind.
+`canhaptic.lab.batch` names compile. numba's own procedure takes twice (`unprotected`) to six
+times as long (`guarded`) for the first sweep of a kind. A list of fewer passes saved a sixth more; it would have left
+out, unseen, a pass that a later numba needs.
 """
 
 import gc
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import cache
-from types import CodeType
 from typing import Any, Final, cast
 
 from llvmlite import binding
-from numba.core import codegen, compiler, compiler_machinery, errors, ir, typed_passes, types, untyped_passes
+from numba.core import codegen, compiler, compiler_machinery, ir, types, untyped_passes
 from numba.core.analysis import dead_branch_prune
-from numba.core.compiler_machinery import PassManager, register_pass
+from numba.core.compiler_machinery import register_pass
 from numba.core.ir_utils import get_definition, guard
 from numba.core.postproc import PostProcessor
 from numba.core.registry import cpu_target
@@ -141,11 +138,8 @@ def linked() -> Iterator[None]:
     _under_way = True
     gc.disable()
     try:
-        if before:
+        with nullcontext() if before else _types_kept():
             yield
-        else:
-            with _types_kept(), _unobserved():
-                yield
     finally:
         _under_way = before
         if collects:
@@ -182,7 +176,6 @@ def _set_environments(owner: Numba) -> None:
         owner.set_env(name, _waiting.pop(name))
 
 
-_new_error_context: Final[Numba] = cast(Numba, errors).new_error_context
 _Function: Final[Numba] = types.Function
 
 
@@ -254,42 +247,16 @@ def _zero_of(kind: Numba, name: str) -> float | None:
     return next((zero for zero in (0, 0.0, False) if of_zero(name, type(zero)) in kind.fields), None)
 
 
-_PASSES: Final = (
-    untyped_passes.TranslateByteCode, untyped_passes.FixupArgs, untyped_passes.IRProcessing, KnownZeros,
-    untyped_passes.GenericRewrites, untyped_passes.ReconstructSSA, typed_passes.NopythonTypeInference,
-    typed_passes.PreLowerStripPhis, typed_passes.NoPythonSupportedFeatureValidation, typed_passes.AnnotateTypes,
-    typed_passes.NativeLowering, typed_passes.NoPythonBackend,
-)  # fmt: skip
-"""Passes of a function without closures, in numba's order."""
-
-
-class _Passes(PassManager):
-    """Runs the passes without a record of each, whose texts take as long as some passes."""
-
-    def _runPass(self, index: int, one: Numba, state: Numba) -> None:  # noqa: N802 - numba's name
-        """Run one pass."""
-        one.analysis = self._analysis
-        with _new_error_context("Pass {name}", name=one.name()):
-            one.run_pass(state)
-
-
 class Steps(compiler.Compiler):
-    """The passes that a kernel needs; a function with closures takes all of numba's."""
+    """numba's passes of a function, with `KnownZeros` as soon as its code can be read."""
 
     def define_pipelines(self) -> list[Numba]:
         """Return the passes of the function that is compiled."""
-        has_closures = any(isinstance(constant, CodeType) for constant in self.state.func_id.code.co_consts)
-        if has_closures:
-            of_numba = cast("list[Numba]", super().define_pipelines())
-            for one in of_numba:
-                one.add_pass_after(KnownZeros, untyped_passes.IRProcessing)
-                one.finalize()
-            return of_numba
-        manager = _Passes("kernel")
-        for one in _PASSES:
-            manager.add_pass(one, one.__name__)
-        manager.finalize()
-        return [manager]
+        of_numba = cast("list[Numba]", super().define_pipelines())
+        for one in of_numba:
+            one.add_pass_after(KnownZeros, untyped_passes.IRProcessing)
+            one.finalize()
+        return of_numba
 
 
 @contextmanager
@@ -308,14 +275,3 @@ def _types_kept() -> Iterator[None]:
         yield
     finally:
         _Function.get_call_type = of_numba
-
-
-@contextmanager
-def _unobserved() -> Iterator[None]:
-    """Within the context, call LLVM without a report to numba's listeners."""
-    lock = binding.ffi.lib._lock  # noqa: SLF001
-    listeners, lock._cblist = lock._cblist, []  # noqa: SLF001
-    try:
-        yield
-    finally:
-        lock._cblist = listeners  # noqa: SLF001
