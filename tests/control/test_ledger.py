@@ -106,23 +106,7 @@ def test_the_json_of_a_port_has_the_shared_names_and_no_number_that_json_lacks()
     json.dumps(port, allow_nan=False)
 
 
-@pytest.mark.slow
-def test_ten_million_holds_of_noise_drift_less_than_a_nanojoule():
-    generator = random.Random(11)
-    ledger, block = Ledger(), [generator.gauss(0.0, 1.0) for _ in range(1000)]
-    for cycle in range(10_000_000):
-        ledger.add(hold_cached(block[cycle % 1000]), cycle)
-    summary = ledger.summary()
-    assert summary.energy_in - summary.energy_out == pytest.approx(1e4 * math.fsum(block), abs=1e-9)
-
-
 _cache = {}
-
-
-def hold_cached(h_i):
-    if h_i not in _cache:
-        _cache[h_i] = hold(h_i)
-    return _cache[h_i]
 
 
 @pytest.mark.parametrize(

@@ -95,13 +95,6 @@ def test_booking_the_newest_damper_effort_instead_would_ring_with_one_sample_of_
     assert variation_ratio(printed, reference, FIGURE_7) > 30.0
 
 
-@pytest.mark.slow
-def test_the_original_shows_fig_4_and_fails_in_fig_5(reference):
-    at_40, at_100 = (render(FIGURE_4, "a_priori_dissipation", rate) for rate in (40, 100))
-    assert variation_ratio(at_40, reference, FIGURE_4) < 1.5
-    assert variation_ratio(at_100, reference, FIGURE_4) > 30.0
-
-
 def test_the_failure_of_the_original_rests_on_the_printed_start_inside_the_wall(reference):
     run = render(FIGURE_4, "a_priori_dissipation", 100, parameters=APrioriDissipationParameters(rearm="displacement"))
     assert variation_ratio(run, reference, FIGURE_4) < 2.0

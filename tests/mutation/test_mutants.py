@@ -4,7 +4,6 @@ Each module below has a specification that takes the module as an argument. The 
 mutant of it must not.
 """
 
-import importlib
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
@@ -27,8 +26,6 @@ from tests.mutation import (
     specification_of_state_machine,
 )
 from tests.mutation.mutator import load, mutants
-from tools import mutant_server
-from tools import mutants as campaign
 
 
 class Subject(NamedTuple):
@@ -228,66 +225,3 @@ def test_no_mutant_is_made_of_a_comparison_whose_two_ways_meet(tmp_path: Path, t
     found = [mutant.name.partition(" => ")[2] for mutant in mutants(path, {})]
     assert any(f" {edge} " in name for name in found) is not is_same
     assert any((" < " if order[0] == ">" else " > ") in name.replace("=", " ") for name in found)
-
-
-def test_a_size_is_compared_with_zero_in_one_way(tmp_path: Path) -> None:
-    path = tmp_path / "sample.py"
-    path.write_text(
-        "def f(a, losses):\n    if losses == 0 or a.late != 0.0 or a.more == 0.0 or -losses == 0: a = losses\n"
-    )
-    found = [mutant.name.partition(" => ")[2] for mutant in mutants(path, {})]
-    assert not [name for name in found if "if losses <= 0" in name or "a.late > 0.0" in name]
-    for other in ("if losses != 0", "if losses >= 0", "a.late < 0.0", "a.more <= 0.0", "-losses <= 0"):
-        assert any(other in name for name in found)
-
-
-@pytest.mark.slow
-def test_a_sample_of_the_package_is_drawn_the_same_again_and_survivors_decide(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The long run over the package is `python -m tools.mutants`."""
-    drawn = campaign.sample(["replay.py"], 30, seed=1)
-    assert drawn == campaign.sample(["replay.py"], 30, seed=1) != campaign.sample(["replay.py"], 30, seed=2)
-    assert {campaign.room_of(path) for path, _ in drawn} == {"replay.py"}
-    outcomes: list[dict[str, object]] = [
-        {"path": path.as_posix(), "number": n, "name": f"slip {n}", "killed_by": None if k < 2 else "FAILED a"}
-        for k, (path, n) in enumerate(drawn[:10])
-    ]
-    assert campaign.report(outcomes, at_least=0.9) == 1
-    assert f"survived: {outcomes[0]['path']}:{outcomes[0]['number']}: slip" in capsys.readouterr().out
-    monkeypatch.setitem(campaign.EQUIVALENT, f"{outcomes[0]['path']}: {outcomes[0]['name']}", "of no use")
-    assert campaign.report(outcomes, at_least=0.88) == 0
-    assert "10 mutants, 1 equivalent, 88.9 % of the others killed" in capsys.readouterr().out
-
-
-MODULE = """
-STEP = 1
-def count(x):
-    return x + STEP
-class Counter:
-    @property
-    def one(self):
-        return count(0)
-    @staticmethod
-    def two():
-        return count(1)
-"""
-
-
-def test_a_mutant_of_a_function_takes_effect_where_it_was_imported_to_and_others_are_left_to_an_import(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "swapped_module.py").write_text(MODULE)
-    monkeypatch.syspath_prepend(tmp_path)
-    module = importlib.import_module("swapped_module")
-    count, counter = module.count, module.Counter()
-    for scope, old, new, figures in [
-        ("count", "x + STEP", "x - STEP", (4, -1, 0)),
-        ("Counter.one", "count(0)", "count(7)", (4, 6, 0)),
-        ("Counter.two", "count(1)", "count(9)", (4, 6, 8)),
-    ]:
-        assert mutant_server.swap("swapped_module.py", scope, MODULE.replace(old, new))
-        assert (count(5), counter.one, counter.two()) == figures
-    for scope in ("module", "Counter", "absent"):
-        assert not mutant_server.swap("swapped_module.py", scope, MODULE.replace("STEP = 1", "STEP = 2"))
-    assert module.STEP == 1

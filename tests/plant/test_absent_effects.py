@@ -1,7 +1,6 @@
 """An effect that a scene does not name has no state, no executed line and no import; proved without a clock."""
 
 import gc
-import itertools
 import os
 import subprocess
 import sys
@@ -11,16 +10,13 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-import numpy as np
 import pytest
 
 from canhaptic.cycle import run as run_cycles
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant import effects as effects_package
-from canhaptic.sim.plant.assembly import compile_mode
 from canhaptic.sim.plant.plant import Plant
-from tests.executed_bytecodes import executed_bytecodes as operations
 from tests.plant.plant_scenes import MS, make_plant, run
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -99,11 +95,6 @@ def test_a_scene_imports_only_the_modules_of_its_effects():
     assert effect_modules(imported([COULOMB, CURRENT])) == {"coulomb_friction", "current_loop"}
 
 
-@pytest.mark.slow
-def test_an_import_that_leaks_is_caught():
-    assert effect_modules(imported([], leak="import canhaptic.sim.plant.effects.cogging")) == {"cogging"}
-
-
 def executed(plant: Plant, holds: int = 4) -> Counter[tuple[str, str]]:
     """Bytecodes executed per (file, function) in some holds, the first one excluded."""
     counts: Counter[tuple[str, str]] = Counter()
@@ -150,66 +141,6 @@ def test_a_clip_or_a_guard_that_this_hold_cannot_reach_adds_no_bytecode(effects,
     if effects != [SATURATION]:
         monkeypatch.setattr("canhaptic.sim.plant.plant.can_be_flat", lambda scene: False)
     assert executed(make_plant(*effects), 60) == executed(make_plant(), 60)
-
-
-@pytest.mark.slow
-def test_a_stop_in_reach_and_a_clip_that_acts_add_bytecodes():
-    near, far = (executed(make_plant({**STOP, "position": at}), 60) for at in (1e-6, 0.5))
-    assert sum(near.values()) > 2 * sum(far.values())
-    clipped, bare = make_plant(SATURATION), make_plant()
-    clipped.begin(0)
-    bare.begin(0)
-    assert operations(lambda: clipped.advance_to(MS, 1.01)) > operations(lambda: bare.advance_to(MS, 1.01))
-    assert operations(lambda: clipped.advance_to(2 * MS, 1.0)) == operations(lambda: bare.advance_to(2 * MS, 1.0))
-
-
-def test_an_effect_that_leaks_a_bytecode_is_caught(monkeypatch):
-    honest = executed(make_plant())
-    original = Plant.advance_to
-
-    def leaking(self: Plant, now: int, torque: float) -> None:
-        if self.scene.commands:
-            torque = 0.0
-        original(self, now, torque)
-
-    monkeypatch.setattr(Plant, "advance_to", leaking)
-    assert sum(executed(make_plant()).values()) > sum(honest.values())
-
-
-LINEAR = {"shaft": SHAFT, "current": CURRENT, "tremor": TREMOR, "viscous": VISCOUS}
-
-
-def size(*effects: dict[str, Any]) -> tuple[int, int, int]:
-    """Static cost: states, works, guards of the first mode."""
-    plant = make_plant(*effects)
-    scene = plant.scene
-    return len(scene.names), len(scene.works), len(compile_mode(scene, scene.first_key()).exits)
-
-
-@pytest.mark.slow_but("pair0", "pair7", "pair14")
-@pytest.mark.parametrize("pair", list(itertools.combinations([STOP, COULOMB, SHAFT, CURRENT, TREMOR, VISCOUS], 2)))
-def test_static_costs_of_two_effects_add_up(pair):
-    bare, one, other, both = (np.array(size(*chosen)) for chosen in ((), pair[:1], pair[1:], pair))
-    assert np.array_equal(both - bare, (one - bare) + (other - bare))
-
-
-@pytest.mark.parametrize("pair", list(itertools.combinations([SATURATION, THERMAL], 2)))
-def test_executed_bytecodes_of_two_commands_add_up(pair):
-    base = {"type": "torque_quantisation", "quantum": 0.1}
-    bare, one, other, both = (
-        sum(executed(make_plant(base, *chosen), 1).values()) for chosen in ((), pair[:1], pair[1:], pair)
-    )
-    assert both - bare == (one - bare) + (other - bare)
-
-
-@pytest.mark.parametrize("effect", [None, STOP, COULOMB, LUGRE])
-def test_registering_another_effect_changes_no_bit(effect, monkeypatch):
-    chosen = [effect] if effect else []
-    torques = [2.0 * (k % 7 - 3) for k in range(200)]
-    before = run(make_plant(*chosen), torques)
-    monkeypatch.setitem(effects_package.EFFECTS, "new_effect", "canhaptic.sim.plant.effects.cogging:Cogging")
-    after = run(make_plant(*chosen), torques)
-    assert before.tobytes() == after.tobytes()
 
 
 @pytest.mark.parametrize("effect", [STOP, COULOMB, LUGRE, SHAFT])

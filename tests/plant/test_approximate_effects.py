@@ -9,7 +9,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from canhaptic.sim.plant.splitting import fixed_point
-from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.plant.plant_scenes import DAMPING, MASS, hand, largest_flow, make_plant, residual, run
 from tests.plant.read_effect import read_effect
 
@@ -74,15 +73,6 @@ def test_the_fitted_order_is_the_declared_order(effect, force):
     assert errors[0] < 0.02 * abs(expected)
 
 
-@pytest.mark.slow
-def test_cogging_gives_back_exactly_what_it_stored():
-    plant = make_plant({**COGGING, "amplitude": 5.0}, user=None, damping=0.0, initial_velocity=0.3)
-    run(plant, [0.0] * 3000)
-    energy = plant.energy()
-    assert energy.dissipated == pytest.approx(0.0, abs=1e-15)
-    assert abs(energy.stored) <= 1e-12 * 0.5 * MASS * 0.3**2
-
-
 def test_a_detent_and_stiction_together_hold_the_body_exactly():
     plant = make_plant(
         {**COGGING, "amplitude": 0.2}, {"type": "coulomb_friction", "kinetic": 0.3, "static": 0.5}, user=None
@@ -109,18 +99,6 @@ def test_lugre_before_sliding_is_a_spring_and_sliding_settles_at_its_steady_fric
     plant = make_plant({**LUGRE, "stribeck_velocity": 1e-3}, user=None, damping=0.0)
     run(plant, [0.7] * 8000)
     assert 0.4 * plant.velocity == pytest.approx(0.7 - 0.3, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_a_stribeck_slider_on_a_slow_hand_sticks_and_slips_in_a_limit_cycle():
-    drag = UserParameters(stiffness=200, damping=0.2, motion=SinusoidMotion(amplitude=1.0, frequency=0.002))
-    plant = make_plant({**STRIBECK, "stribeck_velocity": 0.01}, user=drag)
-    positions = run(plant, [0.0] * 3000)
-    still = np.diff(positions) == 0.0
-    slips = int(np.sum(still[:-1] & ~still[1:]))
-    assert slips >= 5
-    assert plant.events <= 4 * slips + 4
-    assert residual(plant) <= 1e-12 * largest_flow(plant)
 
 
 class _Residual:

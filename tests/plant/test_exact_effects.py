@@ -60,46 +60,6 @@ def test_coulomb_friction_agrees_with_an_event_located_reference():
     assert residual(plant) <= 1e-12 * largest_flow(plant)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("damping", [0.0, 50.0])
-@pytest.mark.parametrize("side", ["upper", "lower"])
-def test_a_hard_stop_of_a_million_newtons_per_metre_agrees_with_an_event_located_reference(damping, side):
-    stiffness, sign = 1e6, 1.0 if side == "upper" else -1.0
-
-    def push(y: Any) -> float:
-        return stiffness * y[2] + damping * sign * y[1]
-
-    def creep(y: Any) -> float:
-        return -stiffness / damping * y[2] if damping else 0.0
-
-    def depth(y: Any) -> float:
-        return sign * y[0] - 0.005
-
-    modes = {
-        "apart": ReferenceMode(
-            lambda t, y, u: [*free(t, y, u), creep(y)],
-            [Way(lambda t, y, u: 1e3 * (y[2] - depth(y)), "touching", lambda y: np.array([y[0], y[1], depth(y)]))],
-        ),
-        "touching": ReferenceMode(
-            lambda t, y, u: [y[1], free(t, y, u)[1] - sign * push(y) / MASS, sign * y[1]],
-            [
-                Way(
-                    lambda t, y, u: push(y),
-                    "apart",
-                    lambda y: np.array([y[0], y[1], y[2] if damping else 0.0]),
-                )
-            ],
-        ),
-    }
-    torques = [sign * 2.0] * 40
-    expected = reference(modes, "apart", [0.0, sign * 0.3, 0.0], torques, 1e-3)
-    stop = {"type": "hard_stop", "position": sign * 0.005, "side": side, "stiffness": stiffness, "damping": damping}
-    plant = make_plant(stop, initial_velocity=sign * 0.3)
-    assert difference(run(plant, torques), expected[:, 0]) <= 1e-8 * 0.03
-    assert plant.events >= 2
-    assert residual(plant) <= 1e-12 * largest_flow(plant)
-
-
 @pytest.mark.parametrize("time_constant", [50e-6, 2e-3])
 @pytest.mark.parametrize("period", [MS, 20 * MS])
 def test_the_current_loop_agrees_with_closed_form_steps_up_to_four_hundred_time_constants(time_constant, period):

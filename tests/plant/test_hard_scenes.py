@@ -13,7 +13,7 @@ from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
 from canhaptic.sim.plant.direct_rig import DirectRig
 from canhaptic.sim.plant.plant import Plant
-from tests.plant.plant_scenes import ReferenceMode, Way, hand, largest_flow, reference, residual, run
+from tests.plant.plant_scenes import largest_flow, residual, run
 
 FOLDER = Path(__file__).resolve().parents[2] / "configs" / "hard"
 
@@ -74,35 +74,6 @@ def test_chatter_stays_under_the_cap_and_closes_its_energy():
 
 
 @pytest.mark.slow
-def test_stick_slip_slips_as_often_and_as_far_as_the_reference():
-    plant, positions = free("stick_slip")
-    user = plant.user
-    assert user is not None
-
-    def others(t: float, y: Any) -> float:
-        return hand(t, y[0], y[1], user) - 0.1 * y[1]
-
-    def sliding(sign: float) -> Any:
-        return lambda t, y, u: [y[1], (others(t, y) - sign * 0.3) / 0.25]
-
-    def still(y: Any) -> np.ndarray:
-        return np.array([y[0], 0.0])
-
-    ways = (Way(lambda t, y, u: 0.5 - others(t, y), "forward"), Way(lambda t, y, u: 0.5 + others(t, y), "backward"))
-    modes = {
-        "stuck": ReferenceMode(lambda t, y, u: [0.0, 0.0], ways),
-        "forward": ReferenceMode(sliding(1.0), [Way(lambda t, y, u: y[1], "stuck", still)]),
-        "backward": ReferenceMode(sliding(-1.0), [Way(lambda t, y, u: -y[1], "stuck", still)]),
-    }
-    expected = reference(modes, "stuck", [0.0, 0.0], [0.0] * (len(positions) - 1), 1e-3)
-    assert np.abs(positions - expected[:, 0]).max() <= 1e-9 * 5e-3
-    moving = expected[:, 1] != 0.0
-    slips, halts = int(np.sum(moving[1:] & ~moving[:-1])), int(np.sum(~moving[1:] & moving[:-1]))
-    assert slips >= 3
-    assert plant.events == slips + halts
-
-
-@pytest.mark.slow
 def test_a_push_below_breakaway_bends_the_bristles_and_no_more():
     plant, positions = free("lugre_presliding")
     late = positions[len(positions) // 2 :]
@@ -138,19 +109,6 @@ def test_the_encoder_dither_is_the_parabola_between_two_syncs():
         torque = round(-100.0 * min(seen, 0.0) / 0.01) * 0.01
         position += velocity * period + torque / 0.25 * period**2 / 2
         velocity += torque / 0.25 * period
-
-
-@pytest.mark.slow
-def test_a_current_loop_of_a_four_hundredth_of_the_sample_time_agrees_with_dop853():
-    record, plant = recorded("current_loop_400")
-    user = plant.user
-    assert np.abs(record.torque_applied).max() > 0.1
-
-    def rates(t: float, y: Any, u: float) -> list[float]:
-        return [y[1], (y[2] + hand(t, y[0], y[1], user) - 0.1 * y[1]) / 0.25, (u - y[2]) / 5e-5]
-
-    expected = reference({"on": ReferenceMode(rates)}, "on", [0.0] * 3, record.torque_applied[1:].tolist(), 0.02)
-    assert np.abs(record.true_position - expected[:, 0]).max() <= 1e-9 * 0.03
 
 
 def test_lost_and_late_syncs_do_not_move_a_plant_in_free_space():

@@ -43,32 +43,6 @@ def test_supported_objects_count_and_list_every_object_once(sections: configpars
     assert [v for k, v in sections["MandatoryObjects"].items() if k.isdigit()] == ["0x1000", "0x1001", "0x1018"]
 
 
-def test_sub_numbers_count_the_subindices_described(sections: configparser.RawConfigParser) -> None:
-    for name in sections.sections():
-        if re.fullmatch("[0-9A-F]{4}", name):
-            members = [s for s in sections.sections() if s.startswith(f"{name}sub")]
-            assert int(sections[name].get("SubNumber", "0")) == len(members)
-            assert (int(sections[name]["ObjectType"], 16) in (8, 9)) == bool(members)
-
-
-def test_every_variable_has_type_access_and_mapping_flag(sections: configparser.RawConfigParser) -> None:
-    for name in sections.sections():
-        if re.fullmatch("[0-9A-F]{4}(sub[0-9A-F]+)?", name) and "SubNumber" not in sections[name]:
-            entries = sections[name]
-            assert entries["AccessType"] in {"ro", "rw", "rww", "const"}, name
-            assert entries["PDOMapping"] in {"0", "1"}
-            assert int(entries["DataType"], 16) in {2, 3, 4, 5, 6, 7, 9}
-            low, high = int(entries.get("LowLimit", "-2147483648")), int(entries.get("HighLimit", "4294967295"))
-            default = entries.get("DefaultValue", "")
-            assert "NODEID" in default or not re.fullmatch("-?[0-9]+", default) or low <= int(default) <= high
-
-
-def test_highest_subindex_is_stated_right(sections: configparser.RawConfigParser) -> None:
-    for index in (0x1016, 0x1018, 0x1029, 0x1200, 0x1400, 0x1803, 0x608F, 0x6091, 0x60C2):
-        subindices = [int(s[7:], 16) for s in sections.sections() if s.startswith(f"{index:04X}sub")]
-        assert int(sections[f"{index:04X}sub0"]["DefaultValue"]) == max(subindices)
-
-
 def test_canopen_imports_it_with_node_ids_records_and_mappable_objects() -> None:
     theirs = canopen.import_od(str(SERVO_EDS), node_id=9)
     assert theirs[0x1400][1].default == 0x209

@@ -1,6 +1,5 @@
 """What the page of a run and the live page are made of: lines, areas, units, panels; of logs whose content is known."""
 
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -61,10 +60,6 @@ def panel_of(content: Any, word: str) -> Any:
 
 def glyphs(panel: Any) -> list[Any]:
     return [renderer.glyph for renderer in panel.renderers if hasattr(renderer, "glyph")]
-
-
-def kinds(panel: Any) -> set[str]:
-    return {type(glyph).__name__ for glyph in glyphs(panel)}
 
 
 def write_debt(path: Path) -> None:
@@ -169,25 +164,3 @@ def test_a_fault_behind_skipped_syncs_is_marked_where_its_row_is(tmp_path: Path)
     with EnergyLog.open(tmp_path / "run.h5") as log:
         assert PortPicture(log, "handle", slice(0, log.rows)).faults() == "\n0.22 s: fault too hot"
     assert ">0.22 s: fault too hot</text>" in page_of(tmp_path / "run.h5")
-
-
-@pytest.mark.slow
-def test_a_bar_says_the_verdict(debt: Path, scope: Any, tmp_path: Path) -> None:
-    for text in (page_of(debt), scope.select_one({"name": "status"}).text):
-        assert "handle: passive at the motor: NO<" in text
-    write_run(tmp_path / "run.h5", cycles=3000)
-    assert "handle: passive at the motor: yes<" in scope_of(tmp_path / "run.h5").select_one({"name": "status"}).text
-
-
-@pytest.mark.slow
-def test_several_runs_lie_over_one_page(tmp_path: Path) -> None:
-    for name in ("run.h5", "second.h5", "third.h5"):
-        write_run(tmp_path / name, cycles=1500)
-    with ExitStack() as stack:
-        log, *others = [stack.enter_context(EnergyLog.open(p)) for p in sorted(tmp_path.glob("*.h5"))]
-        html_page.write_html(log, tmp_path / "page.html", inspect(log), others=others)
-    page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    of_one = page.count(">second.h5</text>")
-    assert of_one == page.count(">third.h5</text>") > 4
-    motion = page[page.index("force over position</text>") :]
-    assert ">second.h5</text>" in motion

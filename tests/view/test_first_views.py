@@ -45,12 +45,6 @@ def test_detents_are_drawn_as_notches_and_not_as_a_wall(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_wall_has_no_notches(logs: tuple[Path, Path]) -> None:
-    with canhaptic.EnergyLog(logs[0]) as log:
-        assert notches_of(log, "handle", -1.0, 1.0) == []
-
-
-@pytest.mark.slow
 def test_the_last_panel_is_the_force_over_the_position_of_both_runs_in_the_scales_of_the_first(
     logs: tuple[Path, Path],
 ) -> None:

@@ -13,7 +13,7 @@ from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.view import html_page
 from canhaptic.view.run_picture import energy_figure
-from canhaptic.view.series import LiveLog, port_facts, task_plane
+from canhaptic.view.series import task_plane
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "xy_box.yaml"
 
@@ -24,15 +24,6 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with build(load_scene(CONFIG), "free", path) as experiment:
         run(experiment.cycle, 800)
     return path
-
-
-@pytest.mark.slow
-def test_the_log_tells_its_groups(path: Path) -> None:
-    with EnergyLog.open(path) as log:
-        assert log.groups == {"stage": ("x", "y")}
-        assert list(log.ports) == ["x", "y", "stage"]
-        assert log.ports["stage"].unit("state") == "m"
-        assert not log.ports["stage"]["position"].any()
 
 
 @pytest.mark.slow
@@ -56,23 +47,6 @@ def test_the_truths_of_the_parts_of_a_run_add_up_to_that_of_the_whole(path: Path
         whole, first, second = (inspect(log, *span)["truth"][port] for span in ((), (None, split), (split, None)))
     assert first["interaction"] + second["interaction"] == pytest.approx(whole["interaction"], abs=1e-15)
     assert max(part["accounted_error"] for part in (first, second)) <= 2.0 * whole["accounted_error"]
-
-
-@pytest.mark.slow
-def test_only_what_a_port_has_is_drawn(path: Path) -> None:
-    with EnergyLog.open(path) as log:
-        stage, x = (port_facts(log, name) for name in ("stage", "x"))
-    assert (stage.has_motion, stage.has_account) == (False, True)
-    assert (x.has_motion, x.has_account) == (True, False)
-
-
-@pytest.mark.slow
-def test_a_look_at_a_growing_log_knows_groups(path: Path) -> None:
-    news = LiveLog(path).look()
-    assert news is not None
-    assert list(news.accounts) == ["stage"]
-    assert [name for name, facts in news.facts.items() if not facts.has_motion] == ["stage"]
-    assert news.fresh_share == 1.0
 
 
 @pytest.mark.slow

@@ -15,7 +15,6 @@ from canhaptic.errors import InputError
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.view import html_page
 from canhaptic.view.html_page import words, write_page
-from canhaptic.view.run_picture import energy_figure
 from canhaptic.view.table import Table
 from tests.view import typed
 from tests.view.chromium import chromium
@@ -61,16 +60,6 @@ def test_a_part_of_a_run_can_be_drawn_and_an_empty_log_cannot(tmp_path: Path) ->
         typed.inspect(tmp_path / "empty.h5", "--html", tmp_path / "empty.html")
     with pytest.raises(InputError, match="no such folder"):
         typed.inspect(tmp_path / "run.h5", "--html", tmp_path / "missing" / "run.html")
-
-
-@pytest.mark.slow
-def test_two_runs_are_drawn_over_each_other(tmp_path: Path) -> None:
-    write_run(tmp_path / "run.h5", cycles=3000, ports=("handle", "knob"))
-    with EnergyLog.open(tmp_path / "run.h5") as log:
-        panels = energy_figure(log, others=[log], labels=["second"]).axes
-    over = [line for panel in panels for line in panel.lines if line.get_color() == "black" and line.is_dashed()]
-    assert len(over) == 2 * 5  # position, torque, in, dissipated, surplus
-    assert sum(line.get_label() == "second" for line in over) == 2 * 4  # once in each legend
 
 
 APART = """

@@ -1,5 +1,3 @@
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +9,6 @@ from hypothesis import strategies as st
 from canhaptic.audit.inspection import contacts
 from canhaptic.control.balance import AT_REST
 from canhaptic.cycle import run
-from canhaptic.errors import InputError
 from canhaptic.logs.columns import PortDescription
 from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.logs.writer_process import EnergyLogWriter
@@ -43,17 +40,6 @@ def test_decimation_keeps_both_ends_and_every_extreme_of_every_bucket(numbers: l
         assert inside.max() == bucket.max()
         assert inside.min() == bucket.min()
     assert len(shown) <= 2 * buckets + 4 or len(values) <= 2 * buckets
-
-
-def test_a_first_and_a_last_sample_that_are_no_extremes_are_drawn() -> None:
-    assert decimate(np.array([0.0, 1.0, -1.0, 0.5, 0.7, 0.6]), 2).tolist() == [0, 1, 2, 3, 4, 5]
-    assert decimate(np.array([0.0, 1.0, -1.0, 0.1, 0.2, 3.0, -3.0, 0.0, 0.0]), 2)[[0, -1]].tolist() == [0, 8]
-
-
-def test_a_spike_of_one_sample_in_an_hour_is_drawn() -> None:
-    values = np.zeros(3_600_000)
-    values[1_234_567] = 1.0
-    assert 1_234_567 in decimate(values, 2000)
 
 
 def test_contacts_are_the_stretches_not_booked_as_free() -> None:
@@ -116,21 +102,6 @@ def test_an_angle_is_drawn_in_degrees_where_the_scene_gives_angles_so(tmp_path: 
     assert drawn.max() == pytest.approx(np.degrees(position.max()))
 
 
-@pytest.mark.slow
-def test_an_empty_log_is_refused_with_one_message(tmp_path: Path) -> None:
-    EnergyLogWriter(tmp_path / "e.h5", [PortDescription("a", "m")], {}, sample_time_ns=1_000_000).close()
-    with EnergyLog.open(tmp_path / "e.h5") as log, pytest.raises(InputError, match="nothing to draw"):
-        draw_energy(log, tmp_path / "e.png")
-
-
-@pytest.mark.slow
-def test_the_view_does_not_import_matplotlib_until_it_draws() -> None:
-    program = (
-        "import sys, canhaptic.view.run_picture, canhaptic.view.energy_table; sys.exit('matplotlib' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
-
-
 def picture_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """The figure that `inspect --png` would write."""
     kept: list[Any] = []
@@ -167,15 +138,6 @@ def test_a_display_has_a_panel_of_the_velocity_it_commands(tmp_path: Path, monke
     }
     assert shown["velocity"] == ("[mrad/s]", [("commanded", 500.0)])
     assert shown["torque"] == ("[N*m]", [("on the hand", -3.0)])
-
-
-@pytest.mark.slow
-def test_panels_of_a_picture_that_hold_only_zeros_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with build(load_scene(CONFIGS / "demo.yaml"), "free", tmp_path / "run.h5") as experiment:
-        run(experiment.cycle, 1500)
-    axes = picture_of(tmp_path / "run.h5", monkeypatch).axes
-    titles = ["position", "force", "energy", "force over position"]
-    assert [panel.get_title(loc="left") for panel in axes] == titles
 
 
 @pytest.fixture(scope="module")

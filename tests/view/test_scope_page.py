@@ -95,18 +95,6 @@ def test_a_page_looks_again_in_its_period(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_another_run_in_the_same_file_begins_anew(tmp_path: Path) -> None:
-    path = tmp_path / "run.h5"
-    page, document = page_of(path)
-    write_run(path, cycles=3000)
-    page.update()
-    write_run(path, cycles=300)
-    page.update()
-    assert all(columns["time"][0] == 0.0 for columns in columns_of(document) if "time" in columns)
-    assert "300 cycles" in status_of(document)
-
-
-@pytest.mark.slow
 def test_a_group_has_the_energy_and_its_axes_the_positions(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     with build(load_scene(CONFIGS / "xy_box.yaml"), "free", path) as experiment:

@@ -265,17 +265,6 @@ def test_a_fast_five_bar_near_its_singular_poses_gives_out_nothing(environment, 
     assert least >= -1e-9
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-@pytest.mark.parametrize("delay", [0, 1])
-@pytest.mark.parametrize("rate", [250, 1000, 4000])
-@pytest.mark.parametrize("environment", FIVE_BARS)
-def test_a_fast_five_bar_gives_out_nothing_at_any_rate(environment, rate, delay):
-    for amplitude in (0.02, 0.04, 0.06):
-        least, *_ = five_bar_run(FIVE_BARS[environment], delay, rate, 2 * rate, (2.0, 1.14), amplitude)
-        assert least >= -1e-9
-
-
 def test_two_handles_pulled_apart_with_the_declared_force_each():
     attack = Attack(
         CoupledHandles(stiffness=2e4), sample_time=4e-3, delay=0, hand_force=8.0, start=(0.02, -0.02), cycles=200,

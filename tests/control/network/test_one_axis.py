@@ -147,20 +147,6 @@ def test_every_hold_of_step_scaling_is_that_of_internal_dissipation(delay, alpha
     assert worst <= 1.0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("delay", [0, 1])
-def test_a_pure_spring_scaled_is_that_of_internal_dissipation_over_a_whole_run(delay):
-    wall, plane = pair(200.0, 0.0)
-    loop = LoopProperties(sample_time=1e-3, delay=delay)
-    one = InternalDissipation(wall, StoredModelParameters(), loop)
-    group = build_group_controller(plane, Identity(axes=1), "step_scaling", None, [loop])
-    worst = 0.0
-    for q, held, alone in positions(one, 1600, delay):
-        together = group.step([q], [held])
-        worst = max(worst, abs(together.torques[0] - alone.torque), abs(together.account.h_s - alone.h_s))
-    assert worst <= 1e-11
-
-
 class _OneOfGroup:
     """A group of one axis as a controller of one."""
 

@@ -1,7 +1,5 @@
 """The simulated X-Y stage against DOP853, one axis of it against the plant of one axis, and its energy account."""
 
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -65,22 +63,6 @@ def test_a_stage_has_exactly_the_states_it_names():
     bare = {"x_position", "x_velocity", "x_force", "y_position", "y_velocity", "y_force", "torque", "one"}
     assert set(stage(None).state_names) == bare
     assert set(stage().state_names) - bare == {f"{a}_motion_{w}" for a in "xy" for w in ("sine", "cosine")}
-
-
-@pytest.mark.slow
-def test_a_stage_imports_no_effect_no_other_mechanism_nothing_of_the_other_side_and_no_solver():
-    script = (
-        "import sys\nimport canhaptic.sim.plant.plant\nfrom canhaptic.sim.plant.mechanism.xy_stage import XYStage\n"
-        "m = XYStage(mass_x=1, mass_y=1, friction_x={'kinetic': 0.1, 'static': 0.2}).build(None, 10**6, 1)\n"
-        "m.begin(0)\nm.advance_to(10**6, (1.0, 0.0))\nprint(*sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
-    modules = set(done.stdout.split())
-    assert "canhaptic.sim.plant.mechanism.xy_stage" in modules
-    assert not {"scipy", "numba", "can", "canopen"} & modules
-    own = "canhaptic.sim.plant."
-    others = (f"{own}effects.", f"{own}mechanism.five_bar_linkage", "canhaptic.control", "canhaptic.drive")
-    assert not {name for name in modules if name.startswith(others)}
 
 
 def test_stuck_axes_do_not_creep():
