@@ -402,30 +402,6 @@ def test_comparison_finds_one_changed_bit_and_its_cycle(log: Path, tmp_path: Pat
     assert difference["largest"] == pytest.approx(1e-18, rel=0.1)
 
 
-@pytest.mark.slow
-def test_repair_saves_the_rows_before_the_damage(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    damaged, saved = tmp_path / "damaged.h5", tmp_path / "saved.h5"
-    with h5py.File(damaged, "w") as file, h5py.File(log) as source:
-        for name, value in source.attrs.items():
-            file.attrs[name] = value
-        for name in ("timing", "events", "digest"):
-            source.copy(name, file)
-        for name in source["ports/handle"]:
-            data = source[f"ports/handle/{name}"]
-            copy = file.create_dataset(f"ports/handle/{name}", data=data[:], chunks=(500,), compression="gzip")
-            copy.attrs["unit"] = data.attrs["unit"]
-    break_chunk(damaged, "ports/handle/h_i", 5)
-    assert typed.inspect(damaged, "--repair", saved) == 0
-    text = capsys.readouterr().out
-    with EnergyLog.open(saved) as repaired, EnergyLog.open(log) as whole:
-        assert 0 < repaired.rows <= 2500
-        assert f"{repaired.rows} cycles saved, {4000 - repaired.rows} could not be read" in text
-        assert np.array_equal(repaired.ports["handle"]["h_i"], whole.ports["handle"]["h_i"][: repaired.rows])
-        assert repaired.status == "repaired"
-    with pytest.raises(InputError, match="another name"):
-        typed.inspect(log, "--repair", log, "--force")
-
-
 def break_chunk(path: Path, name: str, number: int) -> None:
     """Writes zeros over one chunk of a column."""
     with h5py.File(path) as file:

@@ -59,6 +59,8 @@ def test_what_does_not_fit_is_refused_with_arithmetic_and_ways_out() -> None:
     assert "1295 us of 1000 us" in message
     assert "rate: 500 (at most 772 Hz)" in message
     assert "two buses" in message
+    with pytest.raises(BusBudgetError, match=r"2180 us of 1000 us.*rate: 400"):
+        require_budget(CanBusParameters(rate=1000.0), maps(6))
 
 
 def test_a_map_without_read_back_is_offered_when_it_alone_fits() -> None:

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.journeys.person import CONFIGS, UNFIT, Person, dictionary, shown
+from tests.journeys.person import CONFIGS, Person, shown
 
 DEMO = str(CONFIGS / "demo.yaml")
 IN_CONTACT = ("--duration", "0.3", "--set", "environment.side=above")
@@ -36,13 +36,3 @@ def test_a_recording_is_inspected_recomputed_and_replayed(person: Person) -> Non
 def test_scenes_that_are_copied_run_from_their_copy(person: Person) -> None:
     person.types("configs", "--copy", ".")
     assert person.runs_one("configs/demo.yaml", "--duration", "0.1")["unit"] == "m"
-
-
-@pytest.mark.parametrize("name", UNFIT)
-def test_a_drive_that_cannot_serve_is_refused_by_both_commands_for_one_reason(name: str, person: Person, request):
-    path = dictionary(name, request)
-    table = " ".join(person.types("check-eds", path, status=1).split())
-    person.types("new", path, "--simulate", "--out", "rig.yaml", status=2)
-    assert "not fit for cyclic torque" in person.errors
-    assert "not usable" in table
-    assert not (person.folder / "rig.yaml").exists()

@@ -1,7 +1,7 @@
 """Several buses in one rig, from a scene: one SYNC index, each bus with its own budget, each frame with its bus."""
 
 import json
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +97,27 @@ def test_what_does_not_fit_one_bus_fits_two() -> None:
     ):
         scene_of(4, 1, 1000.0)
     assert len(scene_of(4, 2, 1000.0).axes_on("right")) == 2
+
+
+def test_a_host_that_stops_while_it_reads_the_second_bus_sends_no_two_syncs_in_a_burst(monkeypatch) -> None:
+    with build(scene_of(4, 2, 1000.0)) as experiment:
+        rig, clock = experiment.rig, experiment.clock
+        rig.start()
+        period, drain, sent, stops = rig.bus.sample_time_ns, rig.buses[1].drain, [0], count()
+
+        def late() -> None:
+            drain()
+            if len(sent) == 6 and next(stops) == 0:
+                clock.wait_until(clock.now() + 9 * period + 9 * period // 10)
+
+        monkeypatch.setattr(rig.buses[1], "drain", late)
+        for _ in range(12):
+            rig.sync()
+            rig.write_torques([0.0] * 4)
+            sent.append(rig._pace.synced)
+        gaps = [(after - before) / period for before, after in pairwise(sent[2:])]
+        assert (min(gaps), max(gaps)) == (pytest.approx(1.0), pytest.approx(11.0))
+        assert rig.skipped_syncs == 10
 
 
 @pytest.fixture(scope="module")

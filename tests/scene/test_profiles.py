@@ -69,22 +69,6 @@ def test_every_vendor_drive_runs_whole_with_its_profile(file: str, name: str, ve
     assert result["truth"]["handle"]["accounted_error"] < 1e-3 * result["ports"]["handle"]["in"]
 
 
-def test_every_dictionary_of_the_folder_serves_whole_or_is_refused_whole(vendor_eds: Path, tmp_path, capsys) -> None:
-    """For any file in the folder: the verdict, the check and a run with the profile of its make agree."""
-    files = sorted([*vendor_eds.glob("*.eds"), *vendor_eds.glob("*.dcf")])
-    assert files
-    for path in files:
-        fits = main(["check-eds", str(path), "--json"]) == 0
-        capsys.readouterr()
-        started = main(["new", str(path), "--simulate"]) == 0
-        scene = tmp_path / "rig.yaml"
-        scene.write_text(capsys.readouterr().out, encoding="utf-8")
-        assert started is fits, path
-        if fits:
-            assert main(["run", str(scene), "--duration", "1.3", "--json"]) == 0, path
-            assert json.loads(capsys.readouterr().out)["ports"]["axis1"]["in"] > 1e-6
-
-
 @pytest.mark.parametrize(("file", "name"), VENDOR_FILES.items())
 def test_the_make_of_a_dictionary_finds_its_profile(file: str, name: str, vendor_eds: Path, capsys) -> None:
     assert main(["check-eds", str(vendor_eds / file), "--json"]) == 0
