@@ -201,14 +201,10 @@ def _lengths(kernel: Kernel, settings: object) -> tuple[int, ...]:
 
 def _memory(kernel: Kernel, settings: object) -> tuple[object, Array]:
     """Return an algorithm's buffers, and the single array of which they are views."""
-    whole, used = np.zeros(sum(_lengths(kernel, settings))), 0
-
-    def make_buffer(length: int) -> Array:
-        nonlocal used
-        used += length
-        return whole[used - length : used]
-
-    return kernel.memory(settings, make_buffer), whole
+    ends = np.cumsum(_lengths(kernel, settings), dtype=np.int64)
+    whole = np.zeros(ends[-1] if len(ends) else 0)
+    parts = iter(np.split(whole, ends))
+    return kernel.memory(settings, lambda _length: next(parts)), whole
 
 
 def compiled_world(world: GroupModel) -> tuple[Any, Records]:

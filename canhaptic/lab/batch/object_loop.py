@@ -3,7 +3,7 @@
 The plants (`canhaptic.sim.plant`) apply all effects themselves.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import nan
 from typing import Any, Final, NamedTuple, cast
 
@@ -164,45 +164,27 @@ def motors_of(scene: Scene, axes: Sequence[AxisScene]) -> Motors:
     return Motors(motors, time, shared.mechanism)
 
 
-_Stepped = tuple[EnergyBalance, Sequence[float]]  # balance of the hold that ended, and the next commands
-
-
 class ObjectControl(NamedTuple):
     """A controller as an object, at rest, with its motors."""
 
     world: Any  # environment of which figures are computed
-    controller: Any
-    step: Callable[[Sequence[float], Sequence[float]], _Stepped]  # (positions, torques) of all motors
+    controller: Any  # of one motor (`passivity.Controller`), or of several (`multi_axis.GroupController`)
     motors: Motors
     loops: Loops  # of each motor
-
-
-def of_one(controller: Any, motors: Motors, loops: Loops, world: object = None) -> ObjectControl:
-    """Return a controller of one motor, which takes and returns numbers (`passivity.Controller`)."""
-
-    def step(positions: Sequence[float], torques: Sequence[float]) -> _Stepped:
-        balance = controller.step(positions[0], torques[0])
-        return balance, (balance.torque,)
-
-    return ObjectControl(world, controller, step, motors, loops)
-
-
-def of_several(controller: Any, motors: Motors, loops: Loops) -> ObjectControl:
-    """Return a controller of several motors, which takes and returns sequences (`multi_axis.GroupController`)."""
-
-    def step(positions: Sequence[float], torques: Sequence[float]) -> _Stepped:
-        balance = controller.step(positions, torques)
-        return balance.account, balance.torques
-
-    return ObjectControl(None, controller, step, motors, loops)
+    is_together: bool = False  # whether the controller takes and returns sequences
 
 
 def respond_as_object(control: ObjectControl, room: Room, place: CycleState) -> EnergyBalance:
     """Replace `closed_loop.respond`: step the object with what the drives show."""
-    account, commands = control.step(room.seen, control.motors.shown(room.seen, room.held))
-    room.commands[:] = commands
+    torques = control.motors.shown(room.seen, room.held)
+    if control.is_together:
+        hold = control.controller.step(room.seen, torques)
+        account, room.commands[:] = hold.account, hold.torques
+    else:
+        account = control.controller.step(room.seen[0], torques[0])
+        room.commands[0] = account.torque
     place.supplied += account.supplied
-    return account
+    return cast(EnergyBalance, account)
 
 
 def move_objects(motors: Motors, room: Room, each: range, cycle: int) -> bool:

@@ -38,8 +38,6 @@ from canhaptic.lab.batch.object_loop import (
     ObjectControl,
     SensedMotors,
     motors_of,
-    of_one,
-    of_several,
     respond_as_object,
 )
 from canhaptic.lab.batch.plants import PlantValues, is_linear
@@ -105,14 +103,14 @@ def _as_objects(case: LoopCase | Scene, cycles: int, reach: Reach = EVERYWHERE) 
     if isinstance(case, LoopCase):
         motors = Motors([case.make_plant()], case.sample_time_ns)
         loop = replace(loop_settings(case, cycles), lowest=reach.lowest, highest=reach.highest)
-        return of_one(case.controller(), motors, [loop], plain(case.environment))
+        return ObjectControl(plain(case.environment), case.controller(), motors, [loop])
     [port], time = case.ports, case.bus.sample_time_ns
-    control_of, controller = of_several if port.section else of_one, controller_of(case, port)
+    controller, is_together = controller_of(case, port), bool(port.section)
     if port.causality is not IMPEDANCE:
         loops = [LoopSettings(case.bus.delay, lowest=reach.lowest, highest=reach.highest)] * len(port.axes)
-        return control_of(controller, SensedMotors(port.axes, time), loops)
+        return ObjectControl(None, controller, SensedMotors(port.axes, time), loops, is_together)
     loops = [replace(loop_of_motor(axis, case.bus, reach), signals=Signals()) for axis in port.axes]
-    return control_of(controller, motors_of(case, port.axes), loops)
+    return ObjectControl(None, controller, motors_of(case, port.axes), loops, is_together)
 
 
 def _run(
