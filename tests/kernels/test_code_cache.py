@@ -39,22 +39,29 @@ print(values.tolist(), sum(run.stats.cache_hits.values()))
 """
 
 
-def called(folder: Path, factor: float) -> list[str]:
-    """Returns what a process of its own prints that compiles two kernels of two files, or loads them."""
+def output_of(script: str, folder: Path, cache: str) -> str:
+    """Returns what a script of a folder prints in a process of its own; machine code is kept in the folder `cache`."""
+    path = folder / "script.py"
+    path.write_text(script)
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{folder}", "XDG_CACHE_HOME": str(folder / cache)}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"  # Python itself sees no edit of the same second and size
+    found = subprocess.run([sys.executable, str(path)], env=environment, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stderr
+    return found.stdout.strip()
+
+
+def called(folder: Path, factor: float) -> str:
+    """Returns what a process prints that compiles two kernels of two files, or loads them."""
     (folder / "inner_kernel.py").write_text(INNER.format(factor=factor))
     (folder / "outer_kernel.py").write_text(OUTER)
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{folder}", "XDG_CACHE_HOME": str(folder / "cache")}
-    environment["PYTHONDONTWRITEBYTECODE"] = "1"  # Python itself sees no edit of the same second and size
-    found = subprocess.run([sys.executable, "-c", CALL], env=environment, capture_output=True, text=True, check=False)
-    assert found.returncode == 0, found.stderr
-    return found.stdout.split("]")
+    return output_of(CALL, folder, "cache")
 
 
 @pytest.mark.slow
 def test_the_next_process_loads_the_code_and_an_edit_of_a_called_kernel_is_seen(tmp_path: Path) -> None:
-    assert called(tmp_path, 3.0) == ["[3.0, 6.0", " 0\n"]
-    assert called(tmp_path, 3.0) == ["[3.0, 6.0", " 1\n"]
-    assert called(tmp_path, 5.0) == ["[5.0, 10.0", " 0\n"]  # numba's own key knows the file of the outer one alone
+    assert called(tmp_path, 3.0) == "[3.0, 6.0] 0"
+    assert called(tmp_path, 3.0) == "[3.0, 6.0] 1"
+    assert called(tmp_path, 5.0) == "[5.0, 10.0] 0"  # numba's own key knows the file of the outer one alone
 
 
 def hits() -> int:
@@ -136,15 +143,7 @@ print(*re.findall(r'define [^@]*@"?(_ZN[^" (]*outer[^" (]*)', code))
 @pytest.mark.slow
 def test_no_name_of_machine_code_is_that_of_another_process(tmp_path: Path) -> None:
     """numba names a record type by a number that counts from 0 in each process; code of both may be loaded together."""
-    script = tmp_path / "symbols.py"
-    script.write_text(SYMBOLS)
-    found = []
-    for name in ("one", "other"):
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / name)}
-        done = subprocess.run(
-            [sys.executable, str(script)], env=environment, capture_output=True, text=True, check=True
-        )
-        found.append(set(done.stdout.split()))
+    found = [set(output_of(SYMBOLS, tmp_path, name).split()) for name in ("one", "other")]
     assert found[0]
     assert found[0].isdisjoint(found[1])
 
@@ -245,16 +244,9 @@ print(values.tolist(), [sum(made.stats.cache_hits.values()) for made in kept])
 
 @pytest.mark.slow
 def test_another_kernel_loads_a_unit_that_is_kept_and_sees_that_it_changed(tmp_path: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}", "XDG_CACHE_HOME": str(tmp_path / "c")}
-    environment["PYTHONDONTWRITEBYTECODE"] = "1"
-
     def ran(factor: float, added: float) -> str:
         (tmp_path / "inner_kernel.py").write_text(INNER.format(factor=factor))
-        (tmp_path / "units.py").write_text(UNITS.replace("+ 1.0", f"+ {added}"))
-        command = [sys.executable, str(tmp_path / "units.py")]
-        found = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-        assert found.returncode == 0, found.stderr
-        return found.stdout.strip()
+        return output_of(UNITS.replace("+ 1.0", f"+ {added}"), tmp_path, "cache")
 
     assert ran(3.0, 1.0) == "[4.0, 7.0] [0, 0]"
     assert ran(3.0, 1.0) == "[4.0, 7.0] [0, 1]"  # the whole is loaded, and its unit is not needed

@@ -21,8 +21,9 @@ from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.drive.profile.causality import IMPEDANCE
-from canhaptic.errors import InputError, ParameterError
+from canhaptic.errors import EventLimitError, InputError, ParameterError
 from canhaptic.kernels import Kernel
+from canhaptic.lab.batch import closed_loop
 from canhaptic.lab.batch import plants as event_plant
 from canhaptic.lab.batch.closed_loop import LinearPlants, LoopSettings, Losses
 from canhaptic.lab.batch.continuous_run import ReferenceSettings
@@ -165,6 +166,30 @@ def linear_plants(motion: event_plant.LinearMotion, *, listed: bool) -> LinearPl
     flows = np.ascontiguousarray(motion.flows[:, : size - 2])
     found = flows, motion.starts, np.zeros(size), np.zeros(size - 2), np.zeros(1, dtype=np.int64)
     return LinearPlants(*(array.tolist() for array in found) if listed else found)
+
+
+def run_loops_of(case: BatchCase, loops: Any, count: int, *, listed: bool) -> dict[int, EventLimitError]:
+    """Run all loops of a batch, by plant; return the error of each loop whose plant could not be advanced.
+
+    Args:
+        case: The scenes.
+        loops: `InterpretedLoops` or `CompiledLoops`.
+        count: Number of scenes.
+        listed: Whether Python runs the loops.
+    """
+    if case.linear is not None:
+        loops.run(range(count), linear_plants(case.linear, listed=listed), closed_loop.nothing)
+        return {}
+    which, stopped = np.broadcast_to(case.numbers["plant"], (count,)), dict[int, EventLimitError]()
+    for number in np.unique(which).tolist():
+        plant = case.plants[int(number)]
+        modes = event_plant.EventModes(plant.scene(), plant.simulation.accuracy, listed=listed)
+
+        def stop(plants: Any, loop: int, cycle: int, modes: event_plant.EventModes = modes) -> None:
+            stopped[loop] = modes.error(plants, cycle)
+
+        loops.run(np.flatnonzero(which == number).tolist(), modes.motor(), stop)
+    return stopped
 
 
 def why_not_continuous(case: BatchCase) -> str:

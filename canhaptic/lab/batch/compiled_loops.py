@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from canhaptic.control.balance import EnergyBalance
 from canhaptic.control.environments import Environment
 from canhaptic.control.multi_axis.group_kernel import GroupModel, GroupMotion, why_not_world
-from canhaptic.errors import EventLimitError, InputError, ParameterError
+from canhaptic.errors import InputError, ParameterError
 from canhaptic.kernels import Buffer, Kernel, Matrix, Run
 from canhaptic.kernels.compiler import compiled, fixed_tuple, tuple_type
 from canhaptic.kernels.records import Records, arrays_of, record_of, records_of
@@ -27,7 +27,7 @@ from canhaptic.lab.batch.cases import NotBatchableError
 from canhaptic.lab.batch.closed_loop import Control, motors_at, run_loop
 from canhaptic.lab.batch.continuous_run import TERMS, Continuous, ReferenceMemory, ReferenceState, follow
 from canhaptic.lab.batch.network_loop import Explained, NetworkLoop, TrueNetwork
-from canhaptic.lab.batch.plants import CALLS, Plants, Stopped, loop_replacements, never_stopped, run_event_plants
+from canhaptic.lab.batch.plants import CALLS, Plants, Stopped, loop_replacements
 from canhaptic.lab.figures.meter import Meter, diverge, miss
 from canhaptic.lab.loop.axis_loop import Array, LoopCase, Reach
 from canhaptic.sim.plant import stepper
@@ -335,11 +335,6 @@ def compiled_rows(case: LoopCase, cycles: int, reach: Reach) -> Array:
     instead = {**_KEPT, **loop_replacements([plant.scene() for plant in batch.plants[:1]])}
     loops = CompiledLoops(cases.LoopJob(kernel, rows, cases.no_modes(1), cycles, instead))
     loops.meters = _no_rows(cycles, 1)
-    if batch.linear is None:
-        stopped: dict[int, EventLimitError] = {}
-        run_event_plants(loops, batch.plants, np.zeros(1), stopped, listed=False)
-        if stopped:
-            raise stopped[0]
-    else:
-        loops.run([0], cases.linear_plants(batch.linear, listed=False), never_stopped)
+    for error in cases.run_loops_of(batch, loops, 1, listed=False).values():
+        raise error
     return _kept(loops.meters)

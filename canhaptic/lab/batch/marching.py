@@ -19,7 +19,7 @@ from canhaptic.errors import EventLimitError, ParameterError
 from canhaptic.kernels import Run, list_of_zeros
 from canhaptic.lab.batch import WORTH_COMPILING, Engine, cases, chosen_engine, closed_loop, continuous_run
 from canhaptic.lab.batch.cases import NotBatchableError
-from canhaptic.lab.batch.plants import Plants, Stopped, loop_replacements, never_stopped, run_event_plants
+from canhaptic.lab.batch.plants import Plants, Stopped, loop_replacements
 from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures.figures import ALL, METRICS, last_rows, metrics_of, sums_of
 from canhaptic.lab.figures.meter import BRIEF, Meter
@@ -113,8 +113,8 @@ def march(
     chosen = chosen_engine(engine, scenes * cycles >= WORTH_COMPILING)
     for first in range(0, scenes, _MOST):
         part = slice(first, min(first + _MOST, scenes))
-        ended: dict[int, EventLimitError] = {}
-        for name, values in _part(case.part(part), part.stop - first, cycles, chosen, found, ended).items():
+        sums, ended = _part(case.part(part), part.stop - first, cycles, chosen, found)
+        for name, values in sums.items():
             if name in found:
                 found[name][part] = values
         for row, error in ended.items():
@@ -128,9 +128,8 @@ def march(
 
 
 def _part(
-    case: cases.BatchCase, count: int, cycles: int, engine: str, asked: Mapping[str, Array],
-    stopped: dict[int, EventLimitError],
-) -> dict[str, Array]:  # fmt: skip
+    case: cases.BatchCase, count: int, cycles: int, engine: str, asked: Mapping[str, Array]
+) -> tuple[dict[str, Array], dict[int, EventLimitError]]:
     kernel = cases.kernel_of(case.common.algorithm)
     if kernel is None:
         raise NotBatchableError(f"algorithm {case.common.algorithm} is not written as a kernel")
@@ -150,10 +149,7 @@ def _part(
         from canhaptic.lab.batch.compiled_loops import CompiledLoops
 
         loops = CompiledLoops(job)
-    if case.linear is None:
-        run_event_plants(loops, case.plants, np.broadcast_to(case.numbers["plant"], (count,)), stopped, listed=listed)
-    else:
-        loops.run(range(count), cases.linear_plants(case.linear, listed=listed), never_stopped)
+    stopped = cases.run_loops_of(case, loops, count, listed=listed)
     sums, runs = _columns(loops.meters), _columns(loops.references)
     compared = {
         **{name: sums[name] for name in _COMPARED if name in sums},
@@ -161,7 +157,7 @@ def _part(
         "continuous_rest": runs["last_highest"] - runs["last_lowest"],
         "continuous": runs["variation"],
     }
-    return sums | {name: np.where(modes.exist, values, np.nan) for name, values in compared.items()}
+    return sums | {name: np.where(modes.exist, values, np.nan) for name, values in compared.items()}, stopped
 
 
 def _columns(found: Any) -> dict[str, Array]:

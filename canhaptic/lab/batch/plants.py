@@ -418,32 +418,6 @@ def loop_replacements(scenes: Sequence[PlantModel]) -> dict[object, object]:
     return found
 
 
-def run_event_plants(
-    loops: Any, plants: Sequence[PlantValues], which: Array, stopped: dict[int, EventLimitError], *, listed: bool
-) -> None:
-    """Run the loops of plants with events, grouped by plant.
-
-    Args:
-        loops: `InterpretedLoops` or `CompiledLoops`.
-        plants: Distinct plants.
-        which: Index of the plant of each loop, shape (n,).
-        stopped: Filled with the error of each loop whose plant could not be advanced.
-        listed: Whether Python runs the loops.
-    """
-    for number in np.unique(which).tolist():
-        plant = plants[int(number)]
-        modes = EventModes(plant.scene(), plant.simulation.accuracy, listed=listed)
-
-        def stop(plants: Any, loop: int, cycle: int, modes: EventModes = modes) -> None:
-            stopped[loop] = modes.error(plants, cycle)
-
-        loops.run(np.flatnonzero(which == number).tolist(), modes.motor(), stop)
-
-
-def never_stopped(*_what: object) -> None:
-    """Placeholder for `Stopped`; linear plants never call it."""
-
-
 _TORQUE: Final = ("torque_saturation", "thermal_derating", "torque_quantisation")
 SIGNAL_EFFECTS: Final = ("encoder_noise", "encoder_quantisation", *_TORQUE)
 """Names of the effects that change a reading or a torque and add no motion of their own."""

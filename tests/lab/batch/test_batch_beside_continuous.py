@@ -110,12 +110,6 @@ def check(world: str, scenes: int, cycles: int, seed: int) -> int:
 @pytest.mark.slow
 @pytest.mark.parametrize("world", BASES)
 def test_continuous_runs_in_arrays_are_those_of_dop853_and_of_the_exact_machine(world):
-    assert check(world, 3, 100, 1) >= 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("world", BASES)
-def test_many_continuous_runs_in_arrays_are_those_of_dop853_and_of_the_exact_machine(world):
     assert check(world, 12, 500, 3) >= 10
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from canhaptic.errors import EventLimitError
-from canhaptic.lab.batch.cases import batch_case
+from canhaptic.lab.batch.cases import batch_case, run_loops_of
 from canhaptic.lab.batch.marching import march, run_batch
-from canhaptic.lab.batch.plants import run_event_plants
 from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures.figures import METRICS
@@ -82,11 +81,11 @@ class _Watched:
 def test_a_loop_has_the_events_of_the_plant(monkeypatch):
     watched = []
 
-    def run(loops, *arguments, **named):
+    def run(case, loops, count, *, listed):
         watched.append(_Watched(loops))
-        run_event_plants(watched[-1], *arguments, **named)
+        return run_loops_of(case, watched[-1], count, listed=listed)
 
-    monkeypatch.setattr("canhaptic.lab.batch.marching.run_event_plants", run)
+    monkeypatch.setattr("canhaptic.lab.batch.cases.run_loops_of", run)
     for name in ("stop and friction", "backlash", "two grasps and a stop", "Stribeck and stop"):
         scene = demo(PLANTS[name], algorithm="unprotected")
         case = batch_case(scene, {})

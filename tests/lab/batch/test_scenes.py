@@ -9,7 +9,7 @@ import pytest
 from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.lab.batch.cases import NotBatchableError, why_not_batchable
-from canhaptic.lab.batch.marching import run_batch, spectral_radius
+from canhaptic.lab.batch.marching import Loops, decay_per_hold, run_batch, spectral_radius
 from canhaptic.lab.batch.scalar import render, run_scalar
 from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures.figures import METRICS, figures
@@ -162,23 +162,9 @@ def test_the_radius_is_that_of_the_loop_that_is_run():
     scene = scene_with(demo("unprotected", "environment={type: viscous_medium, damping: 1}"), ideal)
     damping = np.array([50.0, 480.0, 620.0])
     radius = spectral_radius(scene, {"environment.damping": damping, "loop.delay": np.array([1.0, 0.0, 0.0])})
-    mass, period, own = 0.25, 1e-3, 5.1
     for d, delay, found in zip(damping, (1, 0, 0), radius, strict=True):
-        # the matrix of the sampled loop, its flow by diagonalisation
-        rates = np.array([[0.0, 1.0, 0.0], [-60.0 / mass, -own / mass, 1.0 / mass], [0.0, 0.0, 0.0]])
-        values, vectors = np.linalg.eig(rates)
-        flow = (vectors @ np.diag(np.exp(values * period)) @ np.linalg.inv(vectors)).real
-        size = 3 + delay
-        step = np.zeros((size, size))
-        torque = np.zeros(size)
-        torque[0], torque[2] = -d / period, d / period
-        held = torque if delay == 0 else np.eye(size)[3]
-        step[:2, :2] = flow[:2, :2]
-        step[:2] += flow[:2, 2:] * held
-        step[2, 0] = 1.0
-        if delay:
-            step[3] = torque
-        assert found == pytest.approx(np.abs(np.linalg.eigvals(step)).max(), rel=1e-9)
+        loop = Loops(0.25, 5.1, 60.0, 0.0, d)  # bearings and hand
+        assert found == pytest.approx(decay_per_hold(loop, 1e-3, delay)[0], rel=1e-9)
     marched = run_batch(scene, {"environment.damping": damping[1:], "loop.delay": np.zeros(2)}, 400, metrics=["travel"])
     assert (radius[1:] > 1.0).tolist() == [False, True]
     assert (marched["travel"] > 1.0).tolist() == [False, True]
