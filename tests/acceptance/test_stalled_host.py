@@ -77,8 +77,8 @@ UNEVEN = "simulation.bus={stall: [{begin: 0.2, duration: 0.04 ms, every: 0.0113}
 def test_a_hold_longer_than_declared_has_no_certificate_and_one_that_is_not_has(jitter, certificate, capsys, tmp_path):
     """0.04 ms of 1 ms: no SYNC is skipped."""
     path = tmp_path / "run.h5"
-    words = ["--duration", "1.4", "--pace", "free", "--json", "--log", str(path)]
-    values = (UNEVEN, f"passivity.sync_jitter={jitter}")
+    words = ["--duration", "0.4", "--pace", "free", "--json", "--log", str(path)]
+    values = ("environment.side=above", UNEVEN, f"passivity.sync_jitter={jitter}")
     main(["run", str(DEMO), *words, *[word for value in values for word in ("--set", value)]])
     port = json.loads(capsys.readouterr().out)["ports"]["handle"]
     assert (port["longest_hold"], port["certificate"]) == (1, certificate)

@@ -36,7 +36,7 @@ def run(folder: Path, changes: list[str], duration: float) -> None:
 
 
 @pytest.mark.parametrize("changes", FALSE.values(), ids=FALSE)
-@pytest.mark.slow_but("1.3-*shaft")
+@pytest.mark.slow_but("1.3-*large")
 @pytest.mark.parametrize("duration", [1.3, 4.0, 20.0])
 def test_what_the_account_knows_once_it_says_until_the_end(changes: list[str], duration: float, tmp_path, capsys):
     run(tmp_path, changes, duration)

@@ -17,7 +17,7 @@ from canhaptic.quantities import NEW_COLUMNS
 from tests.logs.log_rows import PORTS, SAMPLE_TIME_NS, append, balance, sample, timing, truth
 from tests.logs.patience import wait_for
 
-ROWS = 5000
+ROWS = 4200
 
 
 @pytest.fixture(scope="module")
