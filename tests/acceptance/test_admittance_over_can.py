@@ -90,6 +90,7 @@ def test_a_drive_with_an_integral_certifies_no_uneven_hold_and_the_check_says_so
     assert _run(*overrides, cycles=300)[0]["ports"]["handle"]["certificate"] == "none"
 
 
+@pytest.mark.slow
 def test_the_account_is_a_lower_bound_of_the_energy_at_the_sensor() -> None:
     with build(load_scene(SCENE)) as experiment:
         cycle = experiment.cycle
@@ -153,6 +154,7 @@ def test_a_frozen_sensor_stops_the_rig() -> None:
         _run(*overrides)
 
 
+@pytest.mark.slow_but("*freeze_at*")
 @pytest.mark.parametrize(
     "fault",
     [
@@ -380,7 +382,7 @@ def test_the_json_of_a_run_names_the_port(capsys: pytest.CaptureFixture[str]) ->
     assert (port["passive"], port["verdict"]) == ("yes", "yes")  # within the allowance
 
 
-@pytest.mark.slow_but("wall")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["wall", "two_axes", "cup_and_ball", "six_axes"])
 def test_every_shipped_display_keeps_its_promise(name: str) -> None:
     scene = load_scene(SCENE.with_name(f"{name}.yaml"))

@@ -119,6 +119,7 @@ def test_the_account_ends_with_what_the_plant_has_given_when_all_is_still(scene:
         assert judge.believed_error[0] <= resolution + 1e-9
 
 
+@pytest.mark.slow
 def test_a_stop_that_waits_for_a_lagging_torque_and_holds_a_weight_is_recomputed(tmp_path: Path) -> None:
     brake = "axes.0.brake={release_time: 5 ms, set_time: 5 ms, holds_weight: 1 N}"
     lag = "simulation.effects=[{type: current_loop, time_constant: 300 us}]"

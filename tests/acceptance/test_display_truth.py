@@ -55,7 +55,7 @@ def test_no_account_of_two_displays_claims_what_their_plants_deny() -> None:
     assert exchanged < -0.1  # one axis alone gave out what came in by the other
 
 
-@pytest.mark.slow_but("five-bar-3")
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     "seeds", [3, pytest.param(20, marks=pytest.mark.slow), pytest.param(80, marks=pytest.mark.campaign)]

@@ -101,6 +101,7 @@ def test_a_real_interface_has_a_limit_whatever_the_algorithm() -> None:
         load_scene(DEMO, [*real, "axes.0.energy_loss_limit=none"])
 
 
+@pytest.mark.slow
 def test_of_a_group_the_sum_of_its_axes_counts() -> None:
     """One handle of a coupled pair gives out what the other took in: that is no loss."""
     scene = load_scene(CONFIGS / "two_handles.yaml", ["axes.0.energy_loss_limit=2 mJ"])

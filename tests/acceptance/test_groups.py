@@ -140,10 +140,10 @@ def test_at_the_edge_and_near_a_singular_pose_there_is_no_torque_and_the_log_say
 ) -> None:
     reaching = [
         "simulation.mechanisms.0.hand.rest=[0, 0.28]",
-        "simulation.mechanisms.0.hand.motion={y: {amplitude: 0.12, frequency: 0.5}}",
+        "simulation.mechanisms.0.hand.motion={y: {amplitude: 0.12, frequency: 1.0}}",
         "groups.0.network={type: sphere, centre: [0.0, 0.28], radius: 0.03, side: inside, stiffness: 100, damping: 1}",
     ]
-    with logged("five_bar_sphere", 1100, tmp_path, [*reaching, *overrides]) as (experiment, log):
+    with logged("five_bar_sphere", 600, tmp_path, [*reaching, *overrides]) as (experiment, log):
         group: Any = experiment.cycle.ports[0]
         judge = experiment.cycle.judge
         assert judge is not None

@@ -382,6 +382,7 @@ def test_what_a_motor_gives_after_the_account_of_an_operators_stop_is_a_claim() 
 
 
 class TestFalseDeclarations:
+    @pytest.mark.slow
     def test_a_yes_that_the_plant_denies_is_a_miss_and_a_doubt_or_a_stop_is_found(self):
         empty = outcome_of_falsehood(8)  # a display
         assert empty.tags == ("admittance", "algorithm:guarded", "false:commands")

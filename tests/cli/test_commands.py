@@ -46,6 +46,7 @@ def test_a_duration_may_carry_its_unit() -> None:
 # --- run ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_run_prints_the_energy_account(capsys: Captured) -> None:
     assert main(["run", *SHORT, "--full"]) == 0
     out = capsys.readouterr().out
@@ -153,7 +154,7 @@ def test_a_bar_is_drawn_where_the_end_is_known(capsys: Captured, monkeypatch: py
 # --- check, drive, schema -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow_but("two_buses")
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["two_buses", "admittance/six_axes"])
 def test_check_says_once_what_holds_for_every_axis(capsys, monkeypatch, scene: str) -> None:
     monkeypatch.setenv("COLUMNS", "80")

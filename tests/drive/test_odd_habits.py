@@ -108,6 +108,12 @@ def test_the_slave_without_an_odd_habit_is_run_and_stopped(kind: str) -> None:
 
 
 @pytest.mark.slow_for(
+    "torque:?left*",
+    "torque:?boots*",
+    "torque:?loses?each*",
+    "torque:?sends?a?TPDO?0.7*",
+    "display:?left*",
+    "display:?is?pushed*",
     "torque:?shows*",
     "torque:?counts*",
     "torque:?answers*",

@@ -62,6 +62,7 @@ def test_no_thread_writes_an_offset_during_the_run(bench: MakeBench, tmp_path: P
         b.rig.sdo(0).write(0x60B2, 0, 100)
 
 
+@pytest.mark.slow
 def test_a_recording_of_an_older_master_is_replayed_without_the_offset(tmp_path: Path) -> None:
     """The write and its answer taken out of the log of a run: the start leaves them out and says so."""
     log = tmp_path / "run.log"

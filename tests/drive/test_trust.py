@@ -166,6 +166,7 @@ def test_a_link_that_loses_much_but_never_too_much_in_a_row_ends_the_run(bus: st
     assert "of all SYNCs answered" in found.text
 
 
+@pytest.mark.slow
 def test_one_lost_frame_in_a_hundred_is_endured() -> None:
     found = Ended("simulation.bus={drop: 0.01}", seconds=1.0)
     assert found.reason is StopReason.OPERATOR

@@ -31,8 +31,3 @@ def test_a_recording_is_inspected_recomputed_and_replayed(person: Person) -> Non
     assert read["verdict"] == result["verdict"]
     assert person.types("inspect", "run.h5", "--check", "passive")
     assert "identical" in person.types("replay", "run.log", "--config", DEMO, *IN_CONTACT[2:])
-
-
-def test_scenes_that_are_copied_run_from_their_copy(person: Person) -> None:
-    person.types("configs", "--copy", ".")
-    assert person.runs_one("configs/demo.yaml", "--duration", "0.1")["unit"] == "m"

@@ -160,6 +160,7 @@ def test_a_full_disk_stops_the_log_with_one_message_and_never_the_cycle(tmp_path
         assert log.changed_rows() == []
 
 
+@pytest.mark.slow
 def test_a_log_that_fails_while_it_is_packed_keeps_every_row_and_says_so(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     writer = EnergyLogWriter(
