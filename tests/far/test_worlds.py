@@ -2,13 +2,14 @@
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 import canhaptic
-from tools.attack.far import FALSE
-from tools.attack.worlds import OF_A_WORLD, campaign
+from tools.attack.far import FALSE, campaign, first_false
+from tools.attack.worlds import OF_A_WORLD, outcome
 from tools.bench.slow_worlds import Ball, behind_a_wall, by_held_force, pressed
 
 SCENE = "configs/far_world.yaml"
@@ -16,12 +17,12 @@ SCENE = "configs/far_world.yaml"
 
 @pytest.mark.slow
 def test_no_random_program_makes_a_rig_give_out_what_did_not_come_and_broken_rules_are_found() -> None:
-    found = campaign(60, 3.0, 50_000)
+    found = campaign(partial(outcome, length=3.0), range(50_000, 50_060))
     assert (found["false"], found["least"]) == (0, 0.0)
     assert found["with_torque"] > 0.6
     assert found["gave"] > 0.1
     for name in ("not taken off", "program gives what it lacks", "totals go on after the session"):
-        assert campaign(300, 3.0, 1, OF_A_WORLD[name], until_false=True)["false"], name
+        assert first_false(partial(outcome, length=3.0, mutant=OF_A_WORLD[name]), range(1, 301)), name
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 """Attacks the port to a far side: random pairs of rigs, hands and networks, with plants and a network of its own.
 
-    python -m tools.attack.far --networks 1000
+    python -m tools.attack.far --runs 1000
     python -m tools.attack.far --mutants              # every line of the rule broken in turn: each must be found
 
 Nothing of `canhaptic.sim` is used. The energies come from the plants, at every step of their solver for one side (what
@@ -11,9 +11,9 @@ A run is false where either is below -1e-9 J. In a mutant one line of the rule i
 import argparse
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any, Final, Literal, NamedTuple, cast
 
 import numpy as np
@@ -134,6 +134,11 @@ def force(rig: Rig, x: float, v: float, torque: float, t: float) -> float:
     return out
 
 
+def acceleration(rig: Rig, x: float, v: float, torque: float, t: float) -> float:
+    """Returns that of the plant [m/s^2]."""
+    return (torque + force(rig, x, v, torque, t) - rig.damping * v - rig.friction * math.tanh(v / 4e-3)) / rig.mass
+
+
 def advance(rig: Rig, plant: Any, torque: float, now: float, end: float) -> float:
     """Moves one plant to `end` under a held torque (RK4); returns the least that came in on the way [J], at most 0."""
     steps = 1 + int((end - now) / 1e-4)
@@ -141,19 +146,13 @@ def advance(rig: Rig, plant: Any, torque: float, now: float, end: float) -> floa
     begin = plant[0]
     for _ in range(steps):
         x, v = plant[0], plant[1]
-        k1v = (torque + force(rig, x, v, torque, t) - rig.damping * v - rig.friction * math.tanh(v / 4e-3)) / rig.mass
+        k1v = acceleration(rig, x, v, torque, t)
         x2, v2 = x + 0.5 * h * v, v + 0.5 * h * k1v
-        k2v = (
-            torque + force(rig, x2, v2, torque, t) - rig.damping * v2 - rig.friction * math.tanh(v2 / 4e-3)
-        ) / rig.mass
+        k2v = acceleration(rig, x2, v2, torque, t)
         x3, v3 = x + 0.5 * h * v2, v + 0.5 * h * k2v
-        k3v = (
-            torque + force(rig, x3, v3, torque, t) - rig.damping * v3 - rig.friction * math.tanh(v3 / 4e-3)
-        ) / rig.mass
+        k3v = acceleration(rig, x3, v3, torque, t)
         x4, v4 = x + h * v3, v + h * k3v
-        k4v = (
-            torque + force(rig, x4, v4, torque, t) - rig.damping * v4 - rig.friction * math.tanh(v4 / 4e-3)
-        ) / rig.mass
+        k4v = acceleration(rig, x4, v4, torque, t)
         plant[0] = x + h * (v + 2.0 * v2 + 2.0 * v3 + v4) / 6.0
         plant[1] = v + h * (k1v + 2.0 * k2v + 2.0 * k3v + k4v) / 6.0
         t += h
@@ -378,40 +377,50 @@ def run(seed: int, length: float, mutant: int = 0) -> Any:
     return out
 
 
-def campaign(
-    networks: int, length: float, seed: int, mutant: int = 0, *, until_false: bool = False
-) -> dict[str, float]:
-    """Returns how many of some random pairs were false, the least energies [J], and how much crossed."""
-    false = gave = felt = 0
-    least, tried = 0.0, 0
-    for number in range(networks):
-        out = run(seed + number, length, mutant)
-        tried += 1
-        worst = float(min(out[:3]))
-        least = min(least, worst)
-        false += worst < FALSE
-        gave += min(out[3], out[4]) < GIVEN
-        felt += out[5] > 0.0
-        if until_false and false:
-            break
-    return {"networks": tried, "false": false, "least": least, "gave": gave / tried, "with_torque": felt / tried}
+def outcome(seed: int, length: float, mutant: int = 0) -> tuple[float, float, float]:
+    """Returns the least energy of a pair with S and R, the least of one side alone [J], and the largest torque."""
+    out = run(seed, length, mutant)
+    return float(min(out[:3])), float(min(out[3], out[4])), float(out[5])
 
 
-def main() -> None:
-    """Attacks, and prints what was found."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--networks", type=int, default=200)
+Attacked = Callable[[int], tuple[float, float, float]]
+"""Seed -> least energy as booked, least energy of one side alone [J], largest torque."""
+
+
+def campaign(attacked: Attacked, seeds: range) -> dict[str, float]:
+    """Returns how many of some seeds were false, the least energy [J], and how much crossed."""
+    found = np.array([attacked(seed) for seed in seeds])
+    false, gave, felt = (found[:, 0] < FALSE).sum(), (found[:, 1] < GIVEN).mean(), (found[:, 2] > 0.0).mean()
+    least = min(0.0, float(found[:, 0].min()))
+    return {"tried": len(found), "false": int(false), "least": least, "gave": float(gave), "with_torque": float(felt)}
+
+
+def first_false(attacked: Attacked, seeds: range) -> int | None:
+    """Returns after how many seeds one is false; None where none is."""
+    return next((tried for tried, seed in enumerate(seeds, 1) if attacked(seed)[0] < FALSE), None)
+
+
+def attack(about: str | None, attacked: Callable[..., tuple[float, float, float]], mutants: Mapping[str, int]) -> None:
+    """Attacks as the command line says, and prints what was found.
+
+    Args:
+        about: What `--help` says.
+        attacked: As `outcome`.
+        mutants: Line of the rule that is wrong -> its number.
+    """
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--length", type=float, default=4.0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--mutants", action="store_true")
     asked = parser.parse_args()
+    seeds = range(asked.seed, asked.seed + asked.runs)
     if not asked.mutants:
-        print(json.dumps(campaign(asked.networks, asked.length, asked.seed)))
-    for name, number in MUTANTS.items() if asked.mutants else ():
-        found = campaign(asked.networks, asked.length, asked.seed, number, until_false=True)
-        print(f"{name:<26} {'found' if found['false'] else 'NOT FOUND'} after {found['networks']} networks, "
-              f"{1e3 * found['least']:.4g} mJ", flush=True)  # fmt: skip
+        print(json.dumps(campaign(partial(attacked, length=asked.length), seeds)))
+    for name, number in mutants.items() if asked.mutants else ():
+        found = first_false(partial(attacked, length=asked.length, mutant=number), seeds)
+        print(f"{name:<32} {'NOT FOUND' if found is None else f'found after {found} runs'}", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    attack(__doc__, outcome, MUTANTS)

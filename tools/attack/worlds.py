@@ -1,6 +1,6 @@
 """Attacks a rig behind which a slow program says what is there: random programs that stall, jump, owe, and lie.
 
-    python -m tools.attack.worlds --worlds 2000
+    python -m tools.attack.worlds --runs 2000
     python -m tools.attack.worlds --mutants           # lines of the rule broken in turn: each must be found
 
 Plants, hands and networks are those of `tools.attack.far`. The true energy of the plant is looked at in every step of
@@ -8,8 +8,6 @@ its solver with S and R (F1), and with the most that the program has given so fa
 that lies about its energy is held to F1 alone.
 """
 
-import argparse
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -24,11 +22,10 @@ from canhaptic.kernels import Run
 from canhaptic.kernels.compiler import compiled
 from canhaptic.kernels.records import records_of
 from tools.attack.far import (
-    FALSE,
-    GIVEN,
     MUTANTS,
     Rig,
     advance,
+    attack,
     certain,
     copies_of,
     declared,
@@ -242,35 +239,11 @@ def run(seed: int, length: float, mutant: int = 0) -> Any:
     return out
 
 
-def campaign(worlds: int, length: float, seed: int, mutant: int = 0, *, until_false: bool = False) -> dict[str, float]:
-    """Returns how many of some random worlds were false, the least energies [J], and how much crossed."""
-    false = gave = felt = tried = 0
-    least = 0.0
-    for number in range(worlds):
-        out = run(seed + number, length, mutant)
-        tried, worst = tried + 1, float(min(out[:2]))
-        least, false = min(least, worst), false + (worst < FALSE)
-        gave, felt = gave + (out[2] < GIVEN), felt + (out[3] > 0.0)
-        if until_false and false:
-            break
-    return {"worlds": tried, "false": false, "least": least, "gave": gave / tried, "with_torque": felt / tried}
-
-
-def main() -> None:
-    """Attacks, and prints what was found."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--worlds", type=int, default=200)
-    parser.add_argument("--length", type=float, default=4.0)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--mutants", action="store_true")
-    asked = parser.parse_args()
-    if not asked.mutants:
-        print(json.dumps(campaign(asked.worlds, asked.length, asked.seed)))
-    for name, number in OF_A_WORLD.items() if asked.mutants else ():
-        found = campaign(asked.worlds, asked.length, asked.seed, number, until_false=True)
-        print(f"{name:<32} {'found' if found['false'] else 'NOT FOUND'} after {found['worlds']} worlds, "
-              f"{1e3 * found['least']:.4g} mJ", flush=True)  # fmt: skip
+def outcome(seed: int, length: float, mutant: int = 0) -> tuple[float, float, float]:
+    """Returns the least energy of a world with its gifts, or with S and R; alone [J]; and the largest torque."""
+    out = run(seed, length, mutant)
+    return float(min(out[:2])), float(out[2]), float(out[3])
 
 
 if __name__ == "__main__":
-    main()
+    attack(__doc__, outcome, OF_A_WORLD)

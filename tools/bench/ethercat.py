@@ -23,8 +23,7 @@ from canhaptic.scene.models import Scene
 from tools.bench.commission_line import WANTED as TWINS
 from tools.bench.commission_line import rows as commissioned
 from tools.bench.demo import CONFIG, demo_values
-from tools.bench.ethercat_wire import with_recorded
-from tools.bench.report import Row, kept_folder, publish
+from tools.bench.report import Row, kept_folder, publish, rows_of_kinds
 from tools.bench.truth import is_false
 from tools.count_structure import code_of, modules_of
 from tools.kept_runs import run_kept
@@ -114,10 +113,7 @@ def main() -> None:
         "commission": lambda: commissioned(max(2, TWINS // part)),
         "size": size,
     }
-    if unknown := [kind for kind in given.only if kind not in kinds]:
-        parser.error(f"--only: got {', '.join(unknown)}, expected some of: {', '.join(kinds)}")
-    rows = [row for kind in given.only or kinds for row in kinds[kind]()]
-    publish("ethercat", with_recorded(rows), ["canhaptic", "numpy"])
+    publish("ethercat", rows_of_kinds("ethercat", kinds, parser, given.only), ["canhaptic", "numpy"])
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ and `--only` some kinds of rows; the others stay as they were recorded.
 """
 
 import argparse
-import json
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -25,11 +24,9 @@ from canhaptic.scene.build import Experiment, build
 from canhaptic.scene.load import load_scene
 from tests.wire.veth import REALTIME, FarEnd, veth
 from tools.bench.demo import demo_values
-from tools.bench.report import Row, out_folder, publish
+from tools.bench.report import Row, publish, rows_of_kinds
 from tools.on_ethercat import on_ethercat
 
-_ROOT: Final = Path(__file__).resolve().parents[2]
-_RECORDED: Final = _ROOT / "docs" / "results" / "ethercat.json"
 _CYCLES: Final = 10_000
 _RATIO: Final = 1.3
 
@@ -140,23 +137,6 @@ def pysoem_work(folder: Path, cycles: int) -> Iterator[Row]:
                   least, work / least, note="a cycle at 4 kHz has 250 us; measured in turn at 1 kHz")  # fmt: skip
 
 
-def with_recorded(rows: list[Row]) -> list[Row]:
-    """Returns rows in the place of those of the same kind that were recorded last, which is the name before the colon.
-
-    Args:
-        rows: Rows of some kinds.
-    """
-    path = out_folder() / "ethercat.json"
-    path = path if path.is_file() else _RECORDED
-    recorded = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.is_file() else []
-    of_kind = dict[str, list[Row]]()
-    for row in (Row(**of) for of in recorded):
-        of_kind.setdefault(row.row.partition(":")[0], []).append(row)
-    for kind in {row.row.partition(":")[0]: None for row in rows}:
-        of_kind[kind] = [row for row in rows if row.row.partition(":")[0] == kind]
-    return [row for several in of_kind.values() for row in several]
-
-
 def main() -> None:
     """Measures and publishes."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -168,10 +148,8 @@ def main() -> None:
             "pysoem_run": lambda: pysoem_run(Path(made), _CYCLES // (10 if given.quick else 1)),
             "pysoem_work": lambda: pysoem_work(Path(made), 2_000),
         }
-        if unknown := [kind for kind in given.only if kind not in kinds]:
-            parser.error(f"--only: got {', '.join(unknown)}, expected some of: {', '.join(kinds)}")
-        rows = [row for kind in given.only or kinds for row in kinds[kind]()]
-    publish("ethercat", with_recorded(rows), ["canhaptic", "numpy", "pysoem"])
+        rows = rows_of_kinds("ethercat", kinds, parser, given.only)
+    publish("ethercat", rows, ["canhaptic", "numpy", "pysoem"])
 
 
 if __name__ == "__main__":

@@ -8,10 +8,10 @@ rows (`--only worlds`), and leaves the others as recorded.
 """
 
 import argparse
-import json
 import os
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from time import thread_time
 from typing import Final
@@ -28,10 +28,8 @@ from canhaptic.logs.energy_reader import EnergyLog
 from canhaptic.scene.build import build
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.pair import Pair
-from tools.attack.far import FALSE, GIVEN, MUTANTS, campaign, run
-from tools.attack.far_rivals import CELLS, figures
-from tools.attack.far_rivals import NAMES as RIVALS
-from tools.bench.report import RESULTS, Row, kept_folder, publish
+from tools.attack.far import FALSE, GIVEN, MUTANTS, first_false, outcome
+from tools.bench.report import Row, kept_folder, publish, rows_of_kinds
 from tools.bench.slow_worlds import rows_of_worlds
 from tools.kept_runs import run_kept
 
@@ -40,20 +38,20 @@ _LENGTH: Final = 2.0  # of a network [s]
 _WITHIN: Final = 300
 _SERIES: Final = 1000.0 * 5000.0 / (1000.0 + 5000.0)  # both springs [N/m]
 _FASTEST: Final = 0.06 * 2.0 * np.pi * 0.5  # of the hand of `by_model` [m/s]
+CELLS: Final = ((0.0, 0.0), (10.0, 5.0), (40.0, 0.0), (40.0, 20.0), (100.0, 0.0), (300.0, 0.0), (300.0, 20.0))
+"""Round trips [ms] and losses [%]."""
 _HAND: Final = "configs/far_hand.yaml"
 _WALL: Final = "configs/far_wall.yaml"
-
-
-def attacked(seed: int) -> tuple[float, float, float]:
-    """Returns the least energy of a network with S and R, the least of one side alone [J], and the largest torque."""
-    out = run(seed, _LENGTH)
-    return float(min(out[:3])), float(min(out[3], out[4])), float(out[5])
 
 
 def networks(wanted: int, minutes: float, jobs: int) -> list[Row]:
     """Returns the rows of the random networks."""
     kept = kept_folder() / "far_worlds_runs.jsonl"
-    found = [came for came in run_kept(attacked, range(wanted), kept, jobs, minutes=minutes).values() if came[2] > 0.0]
+    found = [
+        came
+        for came in run_kept(partial(outcome, length=_LENGTH), range(wanted), kept, jobs, minutes=minutes).values()
+        if came[2] > 0.0
+    ]
     false = sum(worst < FALSE for worst, _, _ in found)
     share = sum(alone < GIVEN for _, alone, _ in found) / max(1, len(found))
     return [
@@ -68,9 +66,9 @@ def mutants() -> list[Row]:
     """Returns after how many networks each wrong line of the rule is found."""
     rows = []
     for name, number in MUTANTS.items():
-        found = campaign(_WITHIN, 4.0, 1, number, until_false=True)
-        met = bool(found["false"])
-        rows.append(Row(f"mutant: {name}", found["networks"], "networks", target=f"<= {_WITHIN}", met=met))
+        found = first_false(partial(outcome, length=4.0, mutant=number), range(1, _WITHIN + 1))
+        value = found or _WITHIN
+        rows.append(Row(f"mutant: {name}", value, "networks", target=f"<= {_WITHIN}", met=found is not None))
     return rows
 
 
@@ -138,8 +136,8 @@ def _least_of(first: Path, second: Path) -> tuple[float, float, bool]:
     return found["least"], found["resolution"], found["holds"] and found["agrees"]
 
 
-def felt(round_trip: float) -> list[Row]:
-    """Returns what the hand feels of a wall behind the spring at a round trip [ms], and its drag."""
+def felt(round_trip: float) -> Row:
+    """Returns what the hand feels of a wall behind the spring at a round trip [ms]."""
     changes = [
         f"simulation.far_network={{delay: {0.5 * round_trip} ms, jitter: {0.05 * round_trip} ms}}",
         "simulation.user.motion.amplitude=60 mm", "far.coupling.damping=8 N*s/m",
@@ -152,15 +150,8 @@ def felt(round_trip: float) -> list[Row]:
     there = position[4000:]
     pressed = there > 0.999 * there.max()
     stiffness = float(np.mean(-torque[4000:][pressed] / (there[pressed] - 0.03)))
-    ratio = (
-        float(np.sqrt(np.mean(torque[3100:3900] ** 2)))
-        / figures(RIVALS.index("plain gains"), 1e-3 * round_trip, 0.0)[1]
-    )
     met, name = abs(stiffness / _SERIES - 1.0) <= 0.02, f"spring, round trip {round_trip:g} ms"
-    return [
-        Row(f"{name}: felt", stiffness, "N/m", target="833 +- 2 %", met=met),
-        Row(f"{name}: drag, over that of plain gains", ratio, "1", target="<= 1.1", met=ratio <= 1.1),
-    ]
+    return Row(f"{name}: felt", stiffness, "N/m", target="833 +- 2 %", met=met)
 
 
 def by_model(round_trip: float, loss: float) -> list[Row]:
@@ -212,22 +203,6 @@ def first_touch(round_trip: float, asked: float, seeds: int = 10) -> list[Row]:
             met=value >= asked),
         Row(f"{name}: largest step of the torque", jump, "N", target=f"<= {drag:.3g} (drag)", met=jump <= drag),
     ]  # fmt: skip
-
-
-def of_rivals() -> list[Row]:
-    """Returns what other couplings render of the same hand and wall, and what they give out."""
-    rows = []
-    for method, rival in enumerate(RIVALS):
-        for trip, loss in CELLS:
-            felt, drag, given = figures(method, 1e-3 * trip, 0.01 * loss)
-            name = f"{rival}, {trip:g} ms, {loss:g} % lost"
-            if felt is not None:  # else the hand does not get to the wall
-                rows.append(Row(f"{name}: felt at the last touch", felt, "N/m"))
-            rows += [
-                Row(f"{name}: drag in free motion, rms", drag, "N"),
-                Row(f"{name}: energy given out by both", given, "J"),
-            ]
-    return rows
 
 
 def mutated(packets: int) -> Row:
@@ -296,14 +271,6 @@ def packet_cost() -> Row:
     return Row(what, value, "us", target="<= 12", met=value <= 12.0, note=note)
 
 
-def with_recorded(rows: list[Row]) -> list[Row]:
-    """Returns rows, and those of other names that were recorded last."""
-    path = RESULTS / "far_worlds.json"
-    known = [Row(**of) for of in json.loads(path.read_text(encoding="utf-8"))["rows"]] if path.is_file() else []
-    measured = {row.row for row in rows}
-    return [*rows, *(row for row in known if row.row not in measured)]
-
-
 def main() -> None:
     """Measures and publishes."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -317,19 +284,15 @@ def main() -> None:
     kinds: dict[str, Callable[[], list[Row]]] = {
         "networks": lambda: networks(asked.networks, asked.minutes, asked.jobs),
         "packet": lambda: [packet_cost(), flood(), mutated(10**6)],
-        "spring": lambda: [*felt(0.0), *felt(10.0)],
+        "spring": lambda: [felt(0.0), felt(10.0)],
         "model": lambda: [row for cell in CELLS for row in by_model(*cell)],
         "touch": lambda: [*first_touch(40.0, 900.0), *first_touch(100.0, 350.0)],
-        "rivals": of_rivals,
         "logs": lambda: [row for trip in (0.0, 40.0, 300.0) for row in two_logs(trip)],
         "pairs": lambda: over_buses(asked.pairs, asked.minutes, asked.jobs),
         "mutants": mutants,
         "worlds": lambda: rows_of_worlds(asked.worlds, asked.minutes, asked.jobs),
     }
-    if unknown := [kind for kind in asked.only if kind not in kinds]:
-        parser.error(f"--only: got {', '.join(unknown)}, expected some of: {', '.join(kinds)}")
-    rows = [row for kind in asked.only or kinds for row in kinds[kind]()]
-    publish("far_worlds", with_recorded(rows) if asked.only else rows, _PACKAGES)
+    publish("far_worlds", rows_of_kinds("far_worlds", kinds, parser, asked.only), _PACKAGES)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
 import json
 import os
 import platform
-from collections.abc import Callable, Mapping, Sequence
+from argparse import ArgumentParser
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib import metadata
@@ -105,6 +106,31 @@ def _seconds(candidate: Callable[[], object]) -> float:
     start = perf_counter()
     candidate()
     return perf_counter() - start
+
+
+def rows_of_kinds(
+    question: str, kinds: Mapping[str, Callable[[], Iterable[Row]]], parser: ArgumentParser, only: Sequence[str]
+) -> list[Row]:
+    """Returns rows of some kinds, or of all, and the recorded rows of those that were not measured.
+
+    Args:
+        question: Name of the result.
+        kinds: Kind -> what measures its rows, all of whose names begin alike up to a colon.
+        parser: Ends the process for an unknown kind.
+        only: Kinds; none: all.
+    """
+    if unknown := [kind for kind in only if kind not in kinds]:
+        parser.error(f"--only: got {', '.join(unknown)}, expected some of: {', '.join(kinds)}")
+    rows = [row for kind in only or kinds for row in kinds[kind]()]
+    path = out_folder() / f"{question}.json"
+    path = path if path.is_file() else RESULTS / path.name
+    known = [Row(**of) for of in json.loads(path.read_text(encoding="utf-8"))["rows"]] if path.is_file() else []
+    measured = {_kind(row) for row in rows}
+    return [*(row for row in known if _kind(row) not in measured), *rows]
+
+
+def _kind(row: Row) -> str:
+    return row.row.partition(":")[0]
 
 
 def publish(question: str, rows: Sequence[Row], packages: Sequence[str], more: Mapping[str, Any] | None = None) -> None:

@@ -5,6 +5,7 @@ world behind a rig that holds the world's force between its turns, without a gua
 """
 
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -13,8 +14,8 @@ import yaml
 
 import canhaptic
 from canhaptic.logs.energy_reader import EnergyLog
-from tools.attack.far import FALSE, GIVEN
-from tools.attack.worlds import OF_A_WORLD, campaign, run
+from tools.attack.far import FALSE, GIVEN, first_false
+from tools.attack.worlds import OF_A_WORLD, outcome
 from tools.bench.report import Row, kept_folder
 from tools.kept_runs import run_kept
 
@@ -165,16 +166,10 @@ def step_of_torque() -> Row:
                target=f"<= {_DRAG:.2f}, that of drag", met=largest <= _DRAG)  # fmt: skip
 
 
-def attacked(seed: int) -> tuple[float, float, float]:
-    """Returns the least energy of a random world with its gifts, or with S and R; alone [J]; the largest torque."""
-    out = run(seed, _LENGTH)
-    return float(min(out[:2])), float(out[2]), float(out[3])
-
-
 def random_worlds(wanted: int, minutes: float, jobs: int) -> list[Row]:
     """Returns the rows of the random worlds, and after how many each broken line of the rule is found."""
     kept = kept_folder() / "slow_worlds_runs.jsonl"
-    done = run_kept(attacked, range(wanted + wanted // 4), kept, jobs, minutes=minutes).values()
+    done = run_kept(partial(outcome, length=_LENGTH), range(wanted + wanted // 4), kept, jobs, minutes=minutes).values()
     found = [came for came in done if came[2] > 0.0]
     false, share = sum(one[0] < FALSE for one in found), sum(one[1] < GIVEN for one in found) / max(1, len(found))
     rows = [
@@ -183,9 +178,9 @@ def random_worlds(wanted: int, minutes: float, jobs: int) -> list[Row]:
         Row("world: the rig gave out 1 mJ of the program's", share, "1"),
     ]
     for name, number in OF_A_WORLD.items():
-        one = campaign(_WITHIN, _LENGTH, 1, number, until_false=True)
-        met = bool(one["false"])
-        rows.append(Row(f"world: mutant: {name}", one["worlds"], "worlds", target=f"<= {_WITHIN}", met=met))
+        broken = first_false(partial(outcome, length=_LENGTH, mutant=number), range(1, _WITHIN + 1))
+        value, target = broken or _WITHIN, f"<= {_WITHIN}"
+        rows.append(Row(f"world: mutant: {name}", value, "worlds", target=target, met=broken is not None))
     return rows
 
 
