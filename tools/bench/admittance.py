@@ -36,9 +36,6 @@ from canhaptic.sim.plant.velocity_drive import (
 from canhaptic.view.picture_style import BLUE, GREEN, ORANGE, PURPLE, VERMILION, drawing, save_picture
 from tools.bench.report import Row, picture_place, publish
 from tools.displays import faults
-from tools.displays.declared_hands import SPRING_RIGS, MassRig, below, mass_energies, spring_energies
-from tools.displays.declared_loop import random_rig
-from tools.displays.declared_loop import with_true_bounds as with_true_bounds_of
 from tools.displays.direct import Display, Outcome
 from tools.displays.direct import run as run_direct
 from tools.displays.pace import cycles_per_second
@@ -193,49 +190,6 @@ def _is_stable(rate: int, delay: int, mass: float, damping: float, hand: _Hand) 
     return bool(np.abs(np.linalg.eigvals(step)).max() < 1.0 + 1e-7)
 
 
-def declared_rows(hands: int) -> list[Row]:
-    """AD9: what rests on a declared hand keeps its promise; the simple forms, as a control, do not."""
-    spring = [spring_energies(rig, hands, 1) for rig in SPRING_RIGS]
-    simple = [spring_energies(rig, hands, 1, simple=True)[0] for rig in SPRING_RIGS]
-    lost, total = sum(below(least) for least, _ in spring), hands * len(spring)
-    control = min(below(least) for least in simple)
-    moved = ", ".join(f"{100.0 * share:.0f}" for _, share in spring)
-    rows = [
-        Row("AD9 4(a) springs below 0", lost, "1", target="0", met=lost == 0,
-            note=f"of {total}; moves in {moved} % of the holds"),
-        Row("AD9 control: simple form below 0", control, "1", target=f">= 100 of {hands}", met=control >= 100,
-            note="of the rig where fewest are"),
-    ]  # fmt: skip
-    ramps = (3.0, 10.0, 30.0)
-    masses = [mass_energies(MassRig(ramp=ramp), 1000, 2) for ramp in ramps]
-    short = [mass_energies(MassRig(ramp=ramp), 1000, 2, brakes=False)[0] for ramp in ramps]
-    lost = sum(below(least) for least, _ in masses)
-    moved = ", ".join(f"{100.0 * share:.0f}" for _, share in masses)
-    control = sum(below(least) for least in short)
-    return [
-        *rows,
-        Row("AD9 4(b) masses below 0", lost, "1", target="0", met=lost == 0,
-            note=f"of 3000; moves in {moved} % of the holds"),
-        Row("AD9 control: next hold alone, below 0", control, "1", target=">= 450", met=control >= 450, note="of 3000"),
-        *_controller_rows(range(240)),
-    ]  # fmt: skip
-
-
-def _controller_rows(seeds: range) -> list[Row]:
-    """AD9 with the controller itself: `guarded` with a declared hand, such hands, and hands five times as stiff."""
-    judged = [found for seed in seeds if (found := with_true_bounds_of(random_rig(seed), 0.4))]
-    lost = sum(outcome.least < -rig.allowance - 1e-9 for rig, outcome in judged)
-    used, moving = sum(o.by_hand for _, o in judged), sum(o.moving for _, o in judged)
-    false = [with_true_bounds_of(replace(random_rig(seed), share=0.2), 0.4) for seed in seeds[:60]]
-    control = sum(found[1].least < -found[0].allowance - 1e-9 for found in false if found)
-    return [
-        Row("AD9 controller: declared hands below 0", lost, "1", target="0", met=lost == 0,
-            note=f"of {len(judged)}; {100.0 * used / moving:.0f} % of the moving holds rest on the hand"),
-        Row("AD9 control: hands five times as stiff, below 0", control, "1", target=">= 1", met=control >= 1,
-            note="of 60"),
-    ]  # fmt: skip
-
-
 def border_rows() -> list[Row]:
     """AD6: least virtual mass without damping for many hands, and least damping against a spring to ground."""
     hands = [(k, 1e-3, m, 0.0) for k in np.logspace(2, 7, 60) for m in (0.05, 0.3, 2.0, 20.0, 1e6)]
@@ -365,7 +319,6 @@ def main() -> None:
         *random_rows(arguments.runs),
         *group_rows(arguments.groups),
         *mass_rows(found),
-        *declared_rows(120),
         *border_rows(),
         *fault_part,
         *bus_rows(),

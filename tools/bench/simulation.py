@@ -12,18 +12,15 @@ from time import perf_counter
 
 import numpy as np
 
-from canhaptic.lab.batch.marching import Loops, decay_per_hold, loop_matrices
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tools.bench.plants import precision
 from tools.bench.plants.effects import effect_rows
-from tools.bench.plants.foil import Foil
 from tools.bench.plants.imports import import_rows
 from tools.bench.plants.linear_batch import LinearBatch
 from tools.bench.plants.peers import PEERS, mujoco_rollout, mujoco_stick, peers, state_space
 from tools.bench.plants.scenes import (
     KINETIC,
-    PERIOD,
     PERIOD_NS,
     STATIC,
     Array,
@@ -62,10 +59,8 @@ def easy_rows() -> list[Row]:
     """Returns time and error of the easy scene and of every peer, called from Python each period."""
     scene = easy(HOLDS)
     plant, torques, results = scene.plant(), scene.torques.tolist(), {}
-    foil = Foil(scene)
     runs: dict[str, Callable[[], Array] | None] = {
         "canhaptic": _stepped(plant, torques),
-        "foil": lambda: foil.run(torques),
         **peers(scene),
     }
 
@@ -85,7 +80,6 @@ def easy_rows() -> list[Row]:
     return [
         *rows,
         *(_peer_row(name, ours, times, error) for name in PEERS),
-        Row("easy: time per period", ours, "us", "flags at run time, all off", times["foil"], times["foil"] / ours),
     ]
 
 
@@ -197,34 +191,6 @@ def sweep_rows() -> list[Row]:
     ]
 
 
-def map_rows() -> list[Row]:
-    """Returns the time of a stability map and its agreement with marching every loop."""
-    rng = np.random.default_rng(2)
-    n = SCENES
-    loops = Loops(
-        rng.uniform(0.05, 1, n),
-        rng.uniform(0.1, 5, n),
-        rng.uniform(0, 1000, n),
-        10 ** rng.uniform(1, 5, n),
-        10 ** rng.uniform(-1, 3, n),
-    )
-    radii = decay_per_hold(loops, PERIOD, 1)
-    times = interleave({"map": lambda: decay_per_hold(loops, PERIOD, 1)}, REPEATS)["map"]
-    hundred = np.linalg.matrix_power(loop_matrices(loops, PERIOD, 1), 100)
-    state, growth = np.tile(np.array([[1.0], [0.1], [0.9], [0.3]]), (n, 1, 1)), np.zeros(n)
-    for k in range(4000):  # 4 * 10^5 holds
-        state = hundred @ state
-        size = np.abs(state).max(axis=(1, 2))
-        growth += np.log(size) * (k >= 400)
-        state /= size[:, None, None]
-    agreement = float(np.mean((growth < 0.0) == (radii < 1.0))) * 100.0
-    least = min(times)
-    return [
-        Row("stability map of 10^4 scenes", least, "s", target="<= 0.2", met=least <= 0.2),
-        Row("stability map: agreement with marching", agreement, "%", target=">= 99.9", met=agreement >= 99.9),
-    ]
-
-
 def _stepped(plant: Plant, torques: list[float]) -> Callable[[], Array]:
     """Returns a run from the start, each period called from Python; it reads the energies, which are booked by then."""
 
@@ -261,7 +227,7 @@ def _extended(scene: Scene) -> Array:
 
 def main() -> None:
     """Measures every figure and publishes table, JSON and picture."""
-    rows = [*easy_rows(), *stiff_rows(), *stick_rows(), *sweep_rows(), *map_rows()]
+    rows = [*easy_rows(), *stiff_rows(), *stick_rows(), *sweep_rows()]
     rows += [*effect_rows(), *import_rows()]
     publish("simulation", rows, ["canhaptic", "numpy", "numba", "scipy", "mujoco", "drake", "control", "motulator"])
     if "--no-picture" not in sys.argv:

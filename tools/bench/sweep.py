@@ -6,7 +6,6 @@ least interaction, margin, believed error and peak torque. MuJoCo's rollout move
 beforehand and has no controller in it. Peers: `pip install -e .[bench]`.
 """
 
-import resource
 from collections.abc import Callable
 from time import perf_counter, process_time
 from typing import Any
@@ -17,7 +16,6 @@ from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.lab.batch.cases import BatchCase
 from canhaptic.lab.batch.marching import Loops, decay_per_hold, march
-from canhaptic.lab.batch.scalar import run_case
 from canhaptic.lab.figures.figures import METRICS
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import UserParameters
@@ -121,17 +119,6 @@ def _in_core_time(rollout: Callable[[], float]) -> float:
     return rate * (perf_counter() - begin) / (process_time() - used)
 
 
-def scalar_rows() -> list[Row]:
-    """Returns cycles per second of the loop that runs one scene at a time."""
-    rows = []
-    for algorithm in ("unprotected", "guarded"):
-        case = standard_case(SpringDamperWall(stiffness=1000.0, damping=5.0), algorithm, RATE, USER_S)
-        begin = process_time()
-        run_case(case, CYCLES)
-        rows.append(Row(f"one scene at a time: {algorithm}", CYCLES / (process_time() - begin) / 1e6, "M cycles/s"))
-    return rows
-
-
 def colgate_rows() -> list[Row]:
     """Returns how far the least device damping that keeps every spring-like hand stable is from k T / 2."""
     period, mass = 1.0 / RATE, 0.25
@@ -195,29 +182,10 @@ def _damped_border(mass: float, period: float) -> list[Row]:
     ]  # fmt: skip
 
 
-def memory_rows() -> list[Row]:
-    """Returns the time of 10^5 scenes in one call, and by how much the memory rises with ten times the cycles."""
-    count = 100_000
-    case = stability_map("unprotected", count)
-    march(case, count, 3, "auto", FIVE)
-    before = _peak()
-    begin = perf_counter()
-    march(case, count, CYCLES, "auto", FIVE)
-    seconds = perf_counter() - begin
-    return [
-        Row(f"{count} scenes x {CYCLES} cycles, unprotected, one call, one core", seconds, "s"),
-        Row("the same: memory above that of 3 cycles", _peak() - before, "MiB"),
-    ]
-
-
-def _peak() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-
-
 def main() -> None:
     """Measures every figure and publishes table and JSON."""
     makers: tuple[Callable[[], list[Row]], ...] = (
-        rate_rows, event_rows, start_rows, scalar_rows, colgate_rows, memory_rows,
+        rate_rows, event_rows, start_rows, colgate_rows
     )  # fmt: skip
     publish("sweep", [row for make in makers for row in make()], ["canhaptic", "numpy", "numba", "mujoco"])
 
