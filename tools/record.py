@@ -8,7 +8,7 @@ import argparse
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -41,13 +41,17 @@ _TPDO: Final = 0x181  # of node 1
 _HARDWARE_FAULT: Final = 0x5000  # EMCY error code
 
 
+def _keeps(_number: int) -> bool:
+    return False
+
+
 class Plan(NamedTuple):
     """One recording."""
 
     config: str
     duration: float  # [s]
     overrides: tuple[str, ...] = ()
-    loses: Callable[[int], bool] = lambda number: False
+    loses: Callable[[int], bool] = _keeps
     """Whether the bus loses the TPDO with this number, counted from 0."""
     fault_cycle: int = 0  # after which the drive faults; 0: never
 
@@ -72,92 +76,66 @@ _LIGHT_DISPLAY: Final = (  # lighter than the drive carries safely
     *("bus.rate=250", "environment.mass=0.3", "axes.0.admittance.handle_acceleration=20"),
     "simulation.admittance.grip={mass: 0.3, stiffness: 500, damping: 0}",
 )
-_DECLARED_HAND: Final = tuple(
-    f"passivity.{key}={value}"
-    for key, value in {
-        "hand_stiffness": "500",
-        "hand_speed": "0.6 m/s",
-        "drive_friction": "0",
-        "drive_damping": "2",
-    }.items()
+
+
+def _at_a_bound(*changes: str, loses: Callable[[int], bool] = _keeps) -> Plan:
+    """Returns a plan of the demo at a bound."""
+    return Plan("configs/demo.yaml", 0.8, (*_AT_A_BOUND, *changes), loses)
+
+
+def _group(*changes: str, duration: float = 1.4, loses: Callable[[int], bool] = _keeps) -> Plan:
+    """Returns a plan of a group at a bound."""
+    at_a_bound = ("bus.rate=250", "groups.0.network.stiffness=6000", "groups.0.passivity.hand_force=1")
+    return Plan("configs/xy_box.yaml", duration, (*at_a_bound, *changes), loses)
+
+
+def _display(*changes: str) -> Plan:
+    """Returns a plan of a light display."""
+    return Plan("configs/admittance/virtual_mass.yaml", 0.8, (*_LIGHT_DISPLAY, *changes))
+
+
+def _each(place: str, values: Mapping[str, str]) -> tuple[str, ...]:
+    """Returns overrides of a section."""
+    return tuple(f"{place}.{key}={value}" for key, value in values.items())
+
+
+def _one_in_23(number: int) -> bool:
+    return number % 23 == 11
+
+
+_DECLARED_HAND: Final = _each(
+    "passivity",
+    {"hand_stiffness": "500", "hand_speed": "0.6 m/s", "drive_friction": "0", "drive_damping": "2"},
 )
-_GROUP_AT_A_BOUND: Final = ("bus.rate=250", "groups.0.network.stiffness=6000", "groups.0.passivity.hand_force=1")
+_PAPER: Final = ("paper_fig4_40hz", "paper_fig5_100hz", "paper_fig7_40hz", "paper_fig8_100hz")
+_LATE_GROUP: Final = ("bus.rpdo=event", *_each("groups.0.passivity", _LATE))
+_ONE_LOSS: Final = "groups.0.passivity.max_consecutive_losses=1"
 
 RECORDINGS: Final = {
     "demo": Plan("configs/demo.yaml", 1.6),
-    "paper_fig4_40hz": Plan("configs/paper_fig4_40hz.yaml", 4.0),
-    "paper_fig5_100hz": Plan("configs/paper_fig5_100hz.yaml", 4.0),
-    "paper_fig7_40hz": Plan("configs/paper_fig7_40hz.yaml", 4.0),
-    "paper_fig8_100hz": Plan("configs/paper_fig8_100hz.yaml", 4.0),
+    **{name: Plan(f"configs/{name}.yaml", 4.0) for name in _PAPER},
     "two_axes": Plan("tests/recordings/two_axes.yaml", 0.8),
     "emergency": Plan("configs/demo.yaml", 0.4, _IN_CONTACT, fault_cycle=_EMCY_CYCLE),
-    "lost_frames": Plan(
-        "configs/demo.yaml", 0.6, (*_IN_CONTACT, "axes.handle.energy_uncertainty_limit=none"), loses=_lost
+    "lost_frames": Plan("configs/demo.yaml", 0.6, (*_IN_CONTACT, "axes.handle.energy_uncertainty_limit=none"), _lost),
+    "bound_hand_force": _at_a_bound("passivity.hand_force=2"),
+    "bound_late_torque": _at_a_bound("bus.rpdo=event", *_each("passivity", _LATE)),
+    "bound_device_damping": _at_a_bound(*_WITHOUT_FORCE, "passivity.device_damping=0.1"),
+    "bound_hand_speed": _at_a_bound(*_WITHOUT_FORCE, "passivity.hand_speed=0.4", "passivity.energy_allowance=2 mJ"),
+    "bound_lost_frames": _at_a_bound(
+        "passivity.hand_force=2", "passivity.max_consecutive_losses=2", loses=lambda number: number % 23 in (11, 12)
     ),
-    "bound_hand_force": Plan("configs/demo.yaml", 0.8, (*_AT_A_BOUND, "passivity.hand_force=2")),
-    "bound_late_torque": Plan(
-        "configs/demo.yaml",
-        0.8,
-        (*_AT_A_BOUND, "bus.rpdo=event", *(f"passivity.{key}={value}" for key, value in _LATE.items())),
+    "bound_device_friction": _at_a_bound(*_WITHOUT_FORCE, *_WITH_FRICTION, "passivity.device_friction=0.4"),
+    "bound_sum": _at_a_bound(
+        *_WITH_FRICTION, *_each("passivity", {"hand_force": "2", "device_damping": "0.1", "device_friction": "0.2"})
     ),
-    "bound_device_damping": Plan(
-        "configs/demo.yaml", 0.8, (*_AT_A_BOUND, *_WITHOUT_FORCE, "passivity.device_damping=0.1")
-    ),
-    "bound_hand_speed": Plan(
-        "configs/demo.yaml",
-        0.8,
-        (*_AT_A_BOUND, *_WITHOUT_FORCE, "passivity.hand_speed=0.4", "passivity.energy_allowance=2 mJ"),
-    ),
-    "bound_lost_frames": Plan(
-        "configs/demo.yaml",
-        0.8,
-        (*_AT_A_BOUND, "passivity.hand_force=2", "passivity.max_consecutive_losses=2"),
-        loses=lambda number: number % 23 in (11, 12),
-    ),
-    "bound_device_friction": Plan(
-        "configs/demo.yaml", 0.8, (*_AT_A_BOUND, *_WITHOUT_FORCE, *_WITH_FRICTION, "passivity.device_friction=0.4")
-    ),
-    "bound_sum": Plan(
-        "configs/demo.yaml",
-        0.8,
-        (
-            *(*_AT_A_BOUND, *_WITH_FRICTION),
-            *("passivity.hand_force=2", "passivity.device_damping=0.1", "passivity.device_friction=0.2"),
-        ),
-    ),
-    "bound_drag": Plan(
-        "configs/demo.yaml",
-        0.8,
-        (*_AT_A_BOUND, "passivity.hand_force=2", "passivity.drag=0.2", "passivity.earned_energy=5 mJ"),
-    ),
-    "bound_group": Plan("configs/xy_box.yaml", 1.4, _GROUP_AT_A_BOUND),
-    "bound_late_group": Plan(
-        "configs/xy_box.yaml",
-        1.4,
-        (*_GROUP_AT_A_BOUND, "bus.rpdo=event", *(f"groups.0.passivity.{key}={value}" for key, value in _LATE.items())),
-    ),
-    "bound_lossy_group": Plan(
-        "configs/xy_box.yaml",
-        1.4,
-        (*_GROUP_AT_A_BOUND, "groups.0.passivity.max_consecutive_losses=1"),
-        loses=lambda number: number % 23 == 11,
-    ),
-    "bound_late_lossy_group": Plan(
-        "configs/xy_box.yaml",
-        1.0,
-        (
-            *_GROUP_AT_A_BOUND,
-            "bus.rpdo=event",
-            *(f"groups.0.passivity.{key}={value}" for key, value in _LATE.items()),
-            "groups.0.passivity.max_consecutive_losses=1",
-        ),
-        loses=lambda number: number % 23 == 11,
-    ),
-    "bound_display": Plan("configs/admittance/virtual_mass.yaml", 0.8, _LIGHT_DISPLAY),
-    "bound_display_force": Plan(
-        "configs/admittance/virtual_mass.yaml", 0.8, (*_LIGHT_DISPLAY, "passivity.largest_hand_force=40")
-    ),
-    "bound_declared_hand": Plan("configs/admittance/virtual_mass.yaml", 0.8, (*_LIGHT_DISPLAY, *_DECLARED_HAND)),
+    "bound_drag": _at_a_bound("passivity.hand_force=2", "passivity.drag=0.2", "passivity.earned_energy=5 mJ"),
+    "bound_group": _group(),
+    "bound_late_group": _group(*_LATE_GROUP),
+    "bound_lossy_group": _group(_ONE_LOSS, loses=_one_in_23),
+    "bound_late_lossy_group": _group(*_LATE_GROUP, _ONE_LOSS, duration=1.0, loses=_one_in_23),
+    "bound_display": _display(),
+    "bound_display_force": _display("passivity.largest_hand_force=40"),
+    "bound_declared_hand": _display(*_DECLARED_HAND),
     "bound_group_of_handles": Plan("configs/two_handles.yaml", 0.4),
 }
 
