@@ -68,7 +68,7 @@ def compare(
         InputError: Nothing is simulated, an unknown algorithm, or a rate over CAN.
 
     Examples:
-        >>> canhaptic.compare("demo", ["unprotected", "guarded"]).result["axes"]["handle"]  # doctest: +SKIP
+        >>> canhaptic.compare("demo", ["unprotected", "guarded"]).result["rows"]  # doctest: +SKIP
     """
     if isinstance(algorithms, Mapping):
         changes = {**algorithms, **(changes or {})}

@@ -125,7 +125,7 @@ def test_algorithms_of_ones_own_are_compared_by_their_names(monkeypatch: pytest.
 
     found = canhaptic.compare("demo", [Half, "unprotected", third], duration=0.03, repeats=0)
     [axis] = found.axes
-    assert list(found.result["axes"]["handle"]["algorithms"]) == ["Half", "unprotected", "third"]
+    assert [row["algorithm"] for row in found.result["rows"]] == ["Half", "unprotected", "third"]
     assert set(axis.runs) == {"Half", "unprotected", "third"}
     assert solved.call_count == 1  # one continuous run for all of them
     with pytest.raises(InputError, match="expected the name of an algorithm, or a class or a function"):

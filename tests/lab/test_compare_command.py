@@ -11,7 +11,7 @@ import pytest
 from canhaptic import compare, simulate
 from canhaptic.cli.main import main
 from canhaptic.lab.figures.figures import ALL, metrics_of
-from canhaptic.lab.render.comparison import figure_row
+from canhaptic.lab.render.comparison import figure_line
 from canhaptic.quantities import QuantityRow
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -73,21 +73,20 @@ def test_the_tool_is_the_same_command(capsys, monkeypatch):
 
 
 def test_a_figure_that_says_which_value_is_better_is_a_row_of_the_table_and_needs_no_other_file():
-    row = figure_row("interaction", QuantityRow("J", "energy left", better="not negative"))
-    assert (row.label, row.is_bounded) == ("energy left", True)
-    assert row.show(row.read({"interaction": 2e-3}, {}), "m").replace("\N{NO-BREAK SPACE}", " ").startswith("2")
-    part = figure_row("error.rms", QuantityRow("m", "error", better="less"))
-    assert part.better is abs
-    assert part.read({"error": {"rms": 3.0, "max": 4.0}}, {}) == 3.0
-    labels = [figure_row(name, figure.row).label for name, figure in ALL.items() if figure.row.better]
+    line = figure_line("interaction", QuantityRow("J", "energy left", better="not negative"))
+    assert (line.label, line.key, line.is_bounded) == ("energy left", "interaction", True)
+    assert line.show(2e-3, "m").replace("\N{NO-BREAK SPACE}", " ").startswith("2")
+    part = figure_line("error.rms", QuantityRow("m", "error", better="less"))
+    assert (part.better, part.key) == (abs, "error.rms")
+    labels = [figure_line(name, figure.row).label for name, figure in ALL.items() if figure.row.better]
     assert len(set(labels)) == len(labels) >= 10
 
 
 @pytest.mark.slow
 def test_of_detents_a_comparison_shows_the_share_of_the_run_and_a_force_against_them_is_no_share() -> None:
-    [axis] = compare("rotary_knob", duration=1.0).result["axes"].values()
+    rows = compare("rotary_knob", duration=1.0).result["rows"]
     [port] = simulate("rotary_knob", duration=1.0).account.raw["ports"].values()
-    shares = {name: of["stiffness_rendered"]["share"] for name, of in axis["algorithms"].items()}
+    shares = {row["algorithm"]: row["stiffness_rendered.share"] for row in rows}
     assert shares["guarded"] == pytest.approx(port["rendered"]["stiffness"], abs=2e-3)
     assert all(0.0 <= share <= 1.01 for share in shares.values())
     sums = {"rendered": np.array([-1.0, 1.0, 0.0]), "asked": np.array([2.0, 2.0, 0.0])}

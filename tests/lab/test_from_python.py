@@ -43,7 +43,7 @@ def test_compare_takes_a_name_and_changes(capsys: pytest.CaptureFixture[str]) ->
     found = canhaptic.compare(
         "hard/stiff_wall", ["unprotected", "guarded"], {"environment.damping": 0.0}, duration=0.6, repeats=0
     )
-    least = {name: of["least_interaction"] for name, of in found.result["axes"]["handle"]["algorithms"].items()}
+    least = {row["algorithm"]: row["least_interaction"] for row in found.result["rows"]}
     assert least["unprotected"] < -1e-3 < -1e-9 <= least["guarded"]
     printed = _printed(
         capsys,
@@ -56,7 +56,7 @@ def test_compare_takes_a_name_and_changes(capsys: pytest.CaptureFixture[str]) ->
         "--algorithms",
         "unprotected",
     )
-    assert printed["axes"]["handle"]["algorithms"]["unprotected"]["least_interaction"] == least["unprotected"]
+    assert printed["rows"][0]["least_interaction"] == least["unprotected"]
 
 
 @pytest.mark.slow
@@ -64,16 +64,15 @@ def test_compare_takes_changes_in_second_place_as_the_other_studies_do() -> None
     changes, options = {"environment.stiffness": 300.0}, {"duration": 0.3, "repeats": 0}
     found = canhaptic.compare("demo", changes, **options)  # type: ignore[arg-type]
     by_name = canhaptic.compare("demo", ["guarded"], changes, **options)  # type: ignore[arg-type]
-    of, of_names = (one.result["axes"]["handle"]["algorithms"] for one in (found, by_name))
-    assert of["guarded"] == of_names["guarded"]
-    assert found.result["axes"]["handle"]["environment"] == by_name.result["axes"]["handle"]["environment"]
-    assert repr(found) == "<Comparison of handle: figures in `result`, runs of single axes in `axes`>"
+    of, [of_names] = ([row for row in one.result["rows"] if row["algorithm"] == "guarded"] for one in (found, by_name))
+    assert of == [of_names]
+    assert repr(found) == "<Comparison of handle: figures in `result`, runs of single axes in `runs`>"
 
 
 @pytest.mark.slow
 def test_compare_takes_displays() -> None:
     found = canhaptic.compare("admittance/virtual_mass", ["guarded"], duration=0.05)
-    assert found.result["axes"]["handle"]["guarded"]["status"] == "completed"
+    assert [row["status"] for row in found.result["rows"]] == ["completed"]
 
 
 @pytest.mark.slow
@@ -116,7 +115,7 @@ def test_python_takes_the_texts_of_the_command_line() -> None:
     table = canhaptic.sweep("demo", {"environment.stiffness": "100"}, cycles="5", engine="python", metrics="margin")
     assert list(table["environment.stiffness"]) == [100.0]
     found = canhaptic.compare("demo", "guarded,unprotected", duration="10 ms", repeats=0)
-    assert list(found.result["axes"]["handle"]["algorithms"]) == ["guarded", "unprotected"]
+    assert [row["algorithm"] for row in found.result["rows"]] == ["guarded", "unprotected"]
 
 
 @pytest.mark.parametrize(

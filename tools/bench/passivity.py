@@ -28,10 +28,10 @@ def rendered() -> Iterator[Row]:
             cycles = max(200, round(3.0 * rate))
             run = render(standard_case(wall, "guarded", rate, hand, delay=delay), cycles)
             found = figures(wall, run, standard_reference(wall, hand, rate, cycles), 1.0 / rate)
-            share = found["stiffness_at_rest"]
+            share = found["stiffness_at_rest.share"]
             label = f"A2 rendered at {rate:g} Hz, delay {delay}"
-            yield Row(f"{label}, of 1000 N/m", share["share"] if share else math.nan, "of asked")
-            yield Row(f"{label}, of 5 N*s/m", found["damping_rendered"]["mean"] / 5.0, "of asked")
+            yield Row(f"{label}, of 1000 N/m", math.nan if share is None else share, "of asked")
+            yield Row(f"{label}, of 5 N*s/m", found["damping_rendered.mean"] / 5.0, "of asked")
 
 
 def cost() -> Iterator[Row]:

@@ -20,7 +20,7 @@ from canhaptic.lab.figures.meter import Meter, MeterSettings, compare, diverge, 
 from canhaptic.lab.loop.admittance_loop import felt, guarded_shares
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.reference import REST, ContinuousReference
-from canhaptic.quantities import FIGURES, OLD_FIGURES, QuantityRow, with_old_names
+from canhaptic.quantities import FIGURES, QuantityRow
 from canhaptic.scene.models import Scene
 
 _LAST_PART: Final = 0.1
@@ -91,7 +91,6 @@ _WEAKEST_LAST: Final[Array] = np.array(WEAKEST_LAST, dtype=float)
 
 ALL: Final = {**METRICS, **CONTINUOUS}
 """All figures of an impedance display."""
-_OF_DAMPING: Final = ("mean", "least", "most", "share")
 OUTCOMES: Final = ("", "no contact", "nothing rendered")
 """Outcomes of a run: "" if the environment was touched and rendered; otherwise a passive run proves nothing."""
 OUTCOME_METRICS: Final = ("contact", "effort_rendered.share", "damping_rendered.share", "torque_peak")
@@ -118,7 +117,7 @@ def figures(
     environment: Environment, run: LoopRun, reference: ContinuousReference | None, sample_time: float,
     torque_limit: float | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the figures of one run as plain values; None where a figure does not apply.
+    """Return the figures of one run by name, as plain values; None where a figure does not apply.
 
     Args:
         environment: Rendered environment.
@@ -132,29 +131,16 @@ def figures(
     by_place = getattr(environment, "damps_by_place", False)
     settings = MeterSettings(torque_limit=limit, damping=environment.damping, by_place=by_place)
     sums = _sums_of_run(environment, run, reference, sample_time, settings)
-    parts: dict[str, dict[str, float | None]] = {}
-    for name in ALL:
-        whole, _, part = name.partition(".")
-        parts.setdefault(whole, {})[part or "value"] = _measured(name, sums)
-    found: dict[str, Any] = {whole: of if set(of.values()) != {None} else None for whole, of in parts.items()}
-    found |= {whole: of["value"] for whole, of in parts.items() if of.keys() == {"value"}}
-    old = {old: found[new.partition(".")[0]] for new, old in OLD_FIGURES.items() if "." not in old}
-    return (
-        found
-        | old
-        | {
-            "surplus_end": found["surplus"]["end"],
-            "outcome": OUTCOMES[int(outcomes(lambda name: _measured(name, sums)))],
-            "diverged": len(run.rows) * sample_time if run.ended == "diverged" else None,
-            "damping_rendered": with_old_names(
-                {"requested": environment.damping, **(found["damping_rendered"] or dict.fromkeys(_OF_DAMPING))}
-            ),
-            "margin": {"value": run.least_margin, "time": int(margin.argmin()) * sample_time},
-            "residual": run.residual,
-            "certificate": run.summary.certificate.name.lower(),
-            "branches": dict(run.summary.branches),
-        }
-    )
+    return {name: _measured(name, sums) for name in ALL} | {
+        "outcome": OUTCOMES[int(outcomes(lambda name: _measured(name, sums)))],
+        "diverged": len(run.rows) * sample_time if run.ended == "diverged" else None,
+        "damping_rendered.requested": environment.damping,
+        "margin": run.least_margin,
+        "margin.time": int(margin.argmin()) * sample_time,
+        "residual": run.residual,
+        "certificate": run.summary.certificate.name.lower(),
+        **{f"branches.{name}": number for name, number in run.summary.branches.items()},
+    }
 
 
 def _measured(metric: str, sums: Mapping[str, float]) -> float | None:

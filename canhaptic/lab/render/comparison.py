@@ -8,7 +8,7 @@ instead of flattening the others.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,7 @@ from canhaptic.lab.figures.figures import CONTINUOUS, METRICS
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.render import sheet
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.compare import AxisComparison, Comparison
+from canhaptic.lab.studies.compare import Comparison
 from canhaptic.quantities import ACCOUNT, SUMMARY, TRUTH, QuantityRow
 from canhaptic.view import picture_style as style
 from canhaptic.view.html_page import picture, words, write_page
@@ -39,18 +39,16 @@ from canhaptic.view.table import Cell, Styled, Table
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_Account = Mapping[str, Any]
 
-
-def comparison_report(result: _Account) -> RenderableType:
+def comparison_report(result: Row) -> RenderableType:
     """Return tables and remarks of a comparison.
 
     Args:
         result: Plain values, as `compare --json` prints them.
     """
     parts: list[RenderableType] = [_heading(result)]
-    for title, part in _parts(result):
-        parts += [Text(f" {title}"), _table(part), *_ranking(part), *_remarks(part)]
+    for rows in _ports(result):
+        parts += [Text(f" {_title(rows[0])}"), _table(rows), *_ranking(rows), *_remarks(rows)]
     return Group(*parts)
 
 
@@ -62,81 +60,63 @@ def write_comparison_page(comparison: Comparison, path: Path) -> None:
     """
     result = comparison.result
     parts: list[str | Table] = [words(_heading(result).plain.strip())]
-    if any(map(_drawn, comparison.axes)):
+    if any(map(_drawn, comparison.runs.values())):
         parts.append(picture(partial(draw_comparison, comparison), "comparison"))
-    for title, part in _parts(result):
-        parts += [replace(_table(part), title=title), words(*(line.plain for line in _remarks(part)))]
+    for rows in _ports(result):
+        parts += [replace(_table(rows), title=_title(rows[0])), words(*(line.plain for line in _remarks(rows)))]
     write_page(path, f"{scene_title(result['scene'])} - comparison", parts)
 
 
-def _parts(result: _Account) -> Iterator[tuple[str, _Account]]:
-    """Yield title, unit and accounts of each port; an account has its figures of the run, and those of the plant."""
-    for name, port in {**result.get("groups", {}), **result.get("axes", {})}.items():
-        found = {key: _figures(account) for key, account in port.get("algorithms", port).items()}
-        known = {key: value for account in found.values() for key, value in account.items()} | port
-        what = known.get("network") or known.get("environment")
-        title = f"{name}: {what}" if what else name
-        if "network" in known:
-            title += f" on {', '.join(known['axes'])}"
-        if "reference" in known:
-            title += f"   continuous reference: {known['reference']['method']}"
-        yield title, {"algorithms": found, "unit": known.get("unit", "")}
+def _ports(result: Row) -> list[list[Row]]:
+    """Return the rows of each port."""
+    names = dict.fromkeys(row["port"] for row in result["rows"])
+    return [[row for row in result["rows"] if row["port"] == name] for name in names]
 
 
-def _figures(account: _Account) -> _Account:
-    return {**account.get("account", {}), **account, **account.get("truth", {})}
+def _title(row: Row) -> str:
+    on = f" on {', '.join(row['axes'])}" if "axes" in row else ""
+    reference = f"   continuous reference: {row['reference.method']}" if "reference.method" in row else ""
+    return f"{row['port']}: {row['environment']}{on}{reference}"
 
 
-def _heading(result: _Account) -> Text:
+def _heading(result: Row) -> Text:
     path = "over the simulated CAN bus"
     if result["path"] != "can":
-        path = f"without a bus, computed by {' and '.join(_engines(result))}"
+        engines = {row["engine"].partition(":")[0] for row in result["rows"] if row["engine"]}
+        path = f"without a bus, computed by {' and '.join(sorted(engines) or ['python'])}"
     delay = counted(result["delay"], "sample")
     way = f"   {si(result['rate'], 'Hz', 3)}, delay {delay}, {result['duration']:.4g} s, {path}"
     return Text.assemble(" ", (scene_title(result["scene"]), "bold"), way)
 
 
-def _engines(result: _Account) -> list[str]:
-    """Return the names of the engines that computed the runs, such as python and numba."""
-    every = (account.get("engine") for _, part in _parts(result) for account in part["algorithms"].values())
-    return sorted({engine.partition(":")[0] for engine in every if engine}) or ["python"]
-
-
-class _Row(NamedTuple):
-    """A row of the table."""
+class _Line(NamedTuple):
+    """A line of the table."""
 
     label: str
-    read: Callable[[_Account, _Account], Any]  # (account, part) -> value
+    key: str  # of the rows
     show: Callable[[Any, str], str] = lambda value, _unit: str(value)  # (value, unit) -> text
     better: Callable[[float], float] | None = None  # function of the values that is smallest for the best
     is_bounded: bool = False  # whether a value below zero is a fault
 
 
-def _table(part: _Account) -> Table:
-    rows: list[list[Cell]] = []
-    for row in _ROWS:
-        values = [_value(row.read, part, account) for account in part["algorithms"].values()]
-        if any(value is not None for value in values):
-            best = _best(values, row.better)
-            rows.append([row.label, *(_cell(value, row, part["unit"], best) for value in values)])
-    return Table("", ["", *(name.replace("_", "\n") for name in part["algorithms"])], rows, keys=1)
+def _table(rows: list[Row]) -> Table:
+    known = [{**row, _PREMISE: _premise(row)} for row in rows]
+    found = [(line, [row.get(line.key) for row in known]) for line in _LINES]
+    cells: list[list[Cell]] = [
+        [line.label, *(_cell(value, line, rows[0]["unit"], _best(values, line.better)) for value in values)]
+        for line, values in found
+        if any(value is not None for value in values)
+    ]
+    return Table("", ["", *(row["algorithm"].replace("_", "\n") for row in rows)], cells, keys=1)
 
 
-def _cell(value: float | str | None, row: _Row, unit: str, best: float | None) -> Styled:
+def _cell(value: float | str | None, line: _Line, unit: str, best: float | None) -> Styled:
     if value is None:
         return Styled("-")
     if isinstance(value, str):
-        return Styled(row.show(value, unit), _STYLES.get(value, ""))
-    bad = row.is_bounded and value < -PASSIVE_TOLERANCE
-    return Styled(row.show(value, unit), "red" if bad else "bold" if value == best else "")
-
-
-def _value(read: Callable[[_Account, _Account], Any], axis: _Account, account: _Account) -> float | str | None:
-    try:
-        value: float | str | None = read(account, axis)
-    except (KeyError, TypeError):  # refused, or nothing to measure
-        return None
-    return value
+        return Styled(line.show(value, unit), _STYLES.get(value, ""))
+    bad = line.is_bounded and value < -PASSIVE_TOLERANCE
+    return Styled(line.show(value, unit), "red" if bad else "bold" if value == best else "")
 
 
 def _best(values: list[float | str | None], better: Callable[[float], float] | None) -> float | None:
@@ -144,40 +124,29 @@ def _best(values: list[float | str | None], better: Callable[[float], float] | N
     return min(numbers, key=better) if better is not None and len(numbers) > 1 else None
 
 
-def _verdict(account: _Account) -> str | None:
-    """Return yes if, by the plant's energy, the handle never gave out more than it received; else no, or an outcome."""
-    least = account["least_interaction"]
-    if least is None or least < -PASSIVE_TOLERANCE:
-        return None if least is None else "no"
-    return str(account.get("outcome") or "yes")
-
-
-def _ranking(part: _Account) -> list[Text]:
+def _ranking(rows: list[Row]) -> list[Text]:
     """Return the ranking in words: guaranteed ones first, then passive ones, then by error; none without errors."""
-    if len(part["algorithms"]) < 2 or not any("position_error" in account for account in part["algorithms"].values()):
+    if len(rows) < 2 or not any(_ERROR in row for row in rows):
         return []
 
-    def worth(name: str) -> tuple[bool, bool, bool, float]:
-        account = part["algorithms"][name]
-        error = _value(lambda of, _: of["position_error"]["rms"], part, account)
-        passive = _value(lambda of, _: _verdict(of), part, account)
-        is_luck = account.get("certificate") == "none"
-        length = error if isinstance(error, float) else math.inf
-        return account["status"] != "completed", passive != "yes", is_luck, length
+    def worth(row: Row) -> tuple[bool, bool, bool, float]:
+        error, is_luck = row.get(_ERROR), row.get("certificate") == "none"
+        ended, passive = row["status"] != "completed", row["passive_by_plant"]
+        return ended, passive != "yes", is_luck, math.inf if error is None else error
 
-    words = [f"{place} {name}" for place, name in enumerate(sorted(part["algorithms"], key=worth), 1)]
+    words = [f"{place} {row['algorithm']}" for place, row in enumerate(sorted(rows, key=worth), 1)]
     order = "passive ones first, of them those with a guarantee, then by position error"
     return [Text(f" ranking: {', '.join(words)} ({order})")]
 
 
-def _remarks(axis: _Account) -> list[Text]:
+def _remarks(rows: list[Row]) -> list[Text]:
     lines = []
-    for name, account in axis["algorithms"].items():
-        words = [account["remark"]] if account.get("remark") else []
-        if account.get("diverged") is not None:
-            words.append(f"diverged at {account['diverged']:.4g} s")
+    for row in rows:
+        words = [row["remark"]] if row["remark"] else []
+        if row.get("diverged") is not None:
+            words.append(f"diverged at {row['diverged']:.4g} s")
         if words:
-            lines.append(Text(f" {name}: {'; '.join(words)}", style="yellow"))
+            lines.append(Text(f" {row['algorithm']}: {'; '.join(words)}", style="yellow"))
     return lines
 
 
@@ -189,21 +158,18 @@ def _share(value: float, _unit: str) -> str:
     return f"{100.0 * value:.3g} %"
 
 
-def _premise(account: _Account) -> str:
-    words = rests_on(account["certificate"], hand_force=account.get("hand_force"))
+def _premise(row: Row) -> str | None:
+    """Return what the guarantee of an algorithm rests on, if it was needed."""
+    if "certificate" not in row or row.get("contact") == 0.0:
+        return None
+    words = rests_on(row["certificate"], hand_force=row.get("hand_force"))
     words = words.replace("no guarantee", "no\nguarantee").replace("needs no ", "needs no\n")  # narrow columns
     return words.removeprefix("device ").removeprefix("moving mass, ")
 
 
-def figure_row(name: str, row: QuantityRow) -> _Row:
-    """Return the table row of a figure."""
-    whole, _, part = name.partition(".")
-
-    def read(account: _Account, _axis: _Account) -> Any:
-        value = account[whole]
-        return value[part or "value"] if isinstance(value, Mapping) else value
-
-    return _Row(row.title, read, _SHOWN[row.unit], _BETTER.get(row.better), row.better == "not negative")
+def figure_line(name: str, row: QuantityRow) -> _Line:
+    """Return the line of a figure."""
+    return _Line(row.title, name, _SHOWN[row.unit], _BETTER.get(row.better), row.better == "not negative")
 
 
 _STYLES: Final = {"yes": "green", "in doubt": "yellow", "no": "red", "nothing rendered": "red"}
@@ -217,19 +183,21 @@ _SHOWN: Final[dict[str, Callable[[float, str], str]]] = {
     "": lambda value, _unit: f"{value:.3g}",
 }
 _ACCOUNTED: Final = ("in", "out", "dissipated", "energy_resolution")
-_ROWS: Final = (
-    _Row("", lambda a, _: a["status"]),
-    _Row(SUMMARY["passive_by_account"].title, lambda a, _: a["passive"]),
-    _Row(SUMMARY["passive_by_plant"].title, lambda a, _: _verdict(a)),
-    *(figure_row(name, figure.row) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.row.better),
-    figure_row("interaction", TRUTH["interaction"]),
-    *(figure_row(name, ACCOUNT[name]) for name in _ACCOUNTED),
-    _Row(f"{ACCOUNT['surplus'].title}, peak", lambda a, _: a["surplus"]["max"], _joule),
-    *(figure_row(name, METRICS[name].row) for name in ("damping_rendered.least", "damping_rendered.most")),
-    _Row(ACCOUNT["certificates"].title, lambda a, _: _premise(a) if a["contact"] else None),
-    _Row(SUMMARY["time_of_step"].title, lambda a, _: a["microseconds_per_step"], lambda v, _: f"{v:.2f} us"),
+_ERROR: Final = "position_error.rms"
+_PREMISE: Final = "premise"
+_LINES: Final = (
+    _Line("", "status"),
+    _Line(SUMMARY["passive_by_account"].title, "passive"),
+    _Line(SUMMARY["passive_by_plant"].title, "passive_by_plant"),
+    *(figure_line(name, figure.row) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.row.better),
+    figure_line("interaction", TRUTH["interaction"]),
+    *(figure_line(name, ACCOUNT[name]) for name in _ACCOUNTED),
+    _Line(f"{ACCOUNT['surplus'].title}, peak", "surplus.max", _joule),
+    *(figure_line(name, METRICS[name].row) for name in ("damping_rendered.least", "damping_rendered.most")),
+    _Line(ACCOUNT["certificates"].title, _PREMISE),
+    _Line(SUMMARY["time_of_step"].title, "microseconds_per_step", lambda value, _: f"{value:.2f} us"),
 )
-"""Rows of the table; one of which no run has the value is left out."""
+"""Lines of the table; one of which no run has the value is left out."""
 
 
 _ACROSS: Final = 4
@@ -242,45 +210,46 @@ def draw_comparison(comparison: Comparison, path: str | Path) -> None:
     Raises:
         InputError: matplotlib is not installed, the file cannot be written, or no algorithm ran.
     """
-    most = max(len(_drawn(axis)) for axis in comparison.axes)
+    drawn = {name: _drawn(runs) for name, runs in comparison.runs.items()}
+    most = max(map(len, drawn.values()))
     if most == 0:
         raise InputError("no algorithm ran, so there is nothing to draw; see the reasons in the table")
     bands = -(-most // _ACROSS)
     columns = -(-most // bands)
-    rows = 3 * bands * len(comparison.axes)
+    rows = 3 * bands * len(drawn)
     result = comparison.result
     way = "over the simulated CAN bus" if result["path"] == "can" else "without a bus"
     loop = f"{si(result['rate'], 'Hz', 3)}, delay {counted(result['delay'], 'sample')}, {way}"
     caption = f"{scene_title(result['scene'])}   {loop}   grey: continuous"
     with sheet(path, 1.2 + 3.0 * columns, 0.9 + 2.1 * rows, caption) as figure:
         panels = figure.subplots(rows, columns, sharex=True, sharey="row", squeeze=False)
-        for index, axis in enumerate(comparison.axes):
-            _draw_axis(axis, comparison, panels[3 * bands * index : 3 * bands * (index + 1)])
+        for index, axis in enumerate(drawn):
+            _draw_axis(axis, drawn[axis], comparison, panels[3 * bands * index : 3 * bands * (index + 1)])
 
 
-def _drawn(axis: AxisComparison) -> dict[str, LoopRun]:
-    """Return the runs of an axis that have at least one SYNC."""
-    return {name: run for name, run in axis.runs.items() if run.position.size}
+def _drawn(runs: dict[str, LoopRun]) -> dict[str, LoopRun]:
+    """Return the runs that have at least one SYNC."""
+    return {name: run for name, run in runs.items() if run.position.size}
 
 
-def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: NDArray[Any]) -> None:
+def _draw_axis(axis: str, runs: dict[str, LoopRun], comparison: Comparison, panels: NDArray[Any]) -> None:
     """Draw one axis into bands of three rows of panels."""
-    unit = axis.unit
-    runs, reference, period = _drawn(axis), axis.reference, comparison.sample_time
+    rows = {row["algorithm"]: row for row in comparison.result["rows"] if row["port"] == axis}
+    reference, period = comparison.references[axis], comparison.sample_time
     places = [tuple(band[:, k]) for band in np.split(panels, len(panels) // 3) for k in range(panels.shape[1])]
     for panel in (panel for place in places[len(runs) :] for panel in place):
         panel.set_visible(False)
     if not runs:
         return
+    unit = rows[next(iter(runs))]["unit"]
     calm = [run for run in runs.values() if not run.ended] or list(runs.values())
     scales = (
         _scale(reference.position if reference else calm[0].true_position),
         _scale(reference.fine_torque if reference else calm[0].torque),
         _scale(*_comparable([run.interaction for run in calm])),
     )
-    accounts = comparison.result["axes"][axis.name]["algorithms"]
     for (position, force, energy), (name, run) in zip(places, runs.items(), strict=False):
-        title = name if len(comparison.axes) == 1 else f"{axis.name}: {name}"
+        title = name if len(comparison.runs) == 1 else f"{axis}: {name}"
         position.set_title(title, fontweight="bold", fontsize=10.0, pad=18.0)
         _write_verdict(position, run)
         if reference is not None:
@@ -292,10 +261,10 @@ def _draw_axis(axis: AxisComparison, comparison: Comparison, panels: NDArray[Any
         _draw_energy(energy, run, period, scales[2])
         energy.set_xlabel("time [s]")
         energy.tick_params(labelbottom=True)
-        _write_error(position, accounts[name], unit)
-    for row, (what, symbol) in enumerate((("position", unit), ("force", effort_unit(unit)), ("energy", "J"))):
-        scale, prefix, (low, high) = scales[row]
-        for panel in panels[row::3, 0]:
+        _write_error(position, rows[name], unit)
+    for place, (what, symbol) in enumerate((("position", unit), ("force", effort_unit(unit)), ("energy", "J"))):
+        scale, prefix, (low, high) = scales[place]
+        for panel in panels[place::3, 0]:
             panel.set_ylim(low / scale, high / scale)
             panel.set_ylabel(f"{what} [{prefix}{symbol}]")
 
@@ -346,11 +315,11 @@ def _write_verdict(panel: "Axes", run: LoopRun) -> None:
     panel.text(0.0, 1.02, word, transform=panel.transAxes, fontsize=9.5, fontweight="bold", color=colour)
 
 
-def _write_error(panel: "Axes", account: Row, unit: str) -> None:
-    error, ratio = account["position_error"], account["force_ripple"]["ratio"]
-    words = [] if error is None else [f"rms error {si(error['rms'], unit, 3)}"]
-    if account["status"] != "completed":
-        words = [str(account["status"]).partition(":")[0]]
+def _write_error(panel: "Axes", row: Row, unit: str) -> None:
+    error, ratio = row[_ERROR], row["force_ripple.ratio"]
+    words = [] if error is None else [f"rms error {si(error, unit, 3)}"]
+    if row["status"] != "completed":
+        words = [str(row["status"])]
     elif ratio is not None:
         words.append(f"force ripple {ratio:.3g} x")
     paper: Any = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.0}

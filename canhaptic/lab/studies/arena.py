@@ -161,13 +161,13 @@ def _figures_of(scene: Scene, cycles: int, reference: ContinuousReference | None
     found = run_figures.figures(environment, run, reference, sample_time, axis.parameters.torque_limit)
     stiffness = getattr(environment, "stiffness", None)
     hardness = run_figures.rate_hardness(run, environment, sample_time)
-    error, ratio, share = ((found[key] or {}).get(part) for key, part in _PARTS.items())
+    error, share = found["position_error.rms"], found["stiffness_rendered.share"]
     travel = None if reference is None else reference.travel
     values: dict[str, float | None] = {
         "energy_given_out": run_figures.energy_given_out(run),
         "energy_beyond_device": run_figures.energy_beyond_device(run, axis.loop.device_damping or 0.0, sample_time),
         "position_error": error / travel if error is not None and travel else None,
-        "force_variation": ratio,
+        "force_variation": found["force_ripple.ratio"],
         "stiffness_error": None if share is None else abs(share - 1.0),
         "rate_hardness": hardness / stiffness if hardness is not None and stiffness else None,
         "limit_cycle": found["limit_cycle"],
@@ -183,8 +183,6 @@ def rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-_PARTS: Final = {"position_error": "rms", "force_ripple": "ratio", "stiffness_rendered": "share"}
-"""Figure of `figures` with several values -> key of the value that the arena uses."""
 DAMPINGS: Final = (0.0, 0.05, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)  # [N*s/m]
 _STIFFNESSES: Final = (1e2, 1e6)  # [N/m]
 FREQUENCIES: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # [Hz]

@@ -8,14 +8,14 @@ path. Admittance displays run over their simulated drives, and so do groups unle
 neither has a continuous reference.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, product
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from canhaptic.control.verdict import passive_verdict
+from canhaptic.control.verdict import PASSIVE_TOLERANCE, passive_verdict
 from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import InputError, ParameterError
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, Engine, chosen_engine
@@ -25,34 +25,31 @@ from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.axis_loop import UnderAlgorithm
 from canhaptic.lab.loop.over_can import Progress, accounts_over_can, heading_of, render_over_can
 from canhaptic.lab.reference import ContinuousReference
-from canhaptic.lab.studies import Row
-from canhaptic.quantities import with_old_names
-from canhaptic.scene.models import AxisScene, Port, Scene
+from canhaptic.lab.studies import Row, flat
+from canhaptic.scene.models import Port, Scene
 
 _BATCH: Final = 64  # cycles between two reports of progress
 
 
 @dataclass(frozen=True, slots=True)
-class AxisComparison:
-    """Runs of one axis: the continuous one, and one for each algorithm that does not refuse it."""
-
-    name: str
-    unit: str
-    reference: ContinuousReference | None
-    runs: dict[str, axis_loop.LoopRun]
-
-
-@dataclass(frozen=True, slots=True)
 class Comparison:
-    """Result of a comparison: plain values, and the runs of single axes behind them for the picture."""
+    """Result of a comparison: plain values, and the runs of single axes behind them for the picture.
+
+    Attributes:
+        result: Plain values; `rows` has one row for each port and algorithm.
+        runs: Axis -> algorithm -> run, of each algorithm that does not refuse the axis.
+        references: Axis -> continuous run; None where there is none.
+        sample_time: Sample time [s].
+    """
 
     result: Row
-    axes: tuple[AxisComparison, ...]
+    runs: dict[str, dict[str, axis_loop.LoopRun]]
+    references: dict[str, ContinuousReference | None]
     sample_time: float
 
     def __repr__(self) -> str:
-        ports = [*self.result.get("axes", ()), *self.result.get("groups", ())]
-        return f"<Comparison of {', '.join(ports)}: figures in `result`, runs of single axes in `axes`>"
+        ports = dict.fromkeys(row["port"] for row in self.result["rows"])
+        return f"<Comparison of {', '.join(ports)}: figures in `result`, runs of single axes in `runs`>"
 
 
 class Case(NamedTuple):
@@ -110,7 +107,7 @@ def compare(
     if has_references(scene):
         return _of_axes(scene, cases, cycles, _counter(progress), None if over_can else engine, repeats)
     result = _of_ports(scene, names, cycles, "python" if over_can else engine, progress)
-    return Comparison(result, (), scene.bus.sample_time)
+    return Comparison(result, {}, {}, scene.bus.sample_time)
 
 
 def _cases(scene: Scene, algorithms: Sequence[str | Case] | None) -> list[Case]:
@@ -165,28 +162,31 @@ def _of_axes(
     axis_loop.require_near(scene)
     if not all(axis.simulation is not None for axis in scene.axes):
         raise InputError(f"{scene.source}: has no `simulation`, expected a plant and a user to compare on; add one")
-    alone = axis_loop.parts_of(scene).values()
-    references = [reference_of(part, cycles) for part in alone]
-    tried: list[dict[str, _Tried]] = [{} for _ in alone]
-    for given, name, shown in asked:
-        cases = [axis_loop.tried(part, name) for part in axis_loop.parts_of(given).values()]
-        known = [case.scene for case in cases if case.scene is not None]
+    references = {name: reference_of(part, cycles) for name, part in axis_loop.parts_of(scene).items()}
+    runs: dict[str, dict[str, axis_loop.LoopRun]] = {name: {} for name in references}
+    timed: dict[str, dict[str, tuple[axis_loop.LoopCase, axis_loop.LoopRun]]] = {name: {} for name in references}
+    rows = []
+    for case in asked:
+        parts = axis_loop.parts_of(case.scene)
+        tried = {name: axis_loop.tried(part, case.algorithm) for name, part in parts.items()}
+        refused = next((one for one in tried.values() if one.scene is None), None)
+        if engine is None and refused is not None:  # all axes run together
+            tried = dict.fromkeys(tried, refused)
+        known = {name: one.scene for name, one in tried.items() if one.scene is not None}
         if engine is not None:
-            runs = [
-                None if case.scene is None else run_axis(case.scene, reference, cycles, engine, counter)
-                for case, (reference, _) in zip(cases, references, strict=True)
-            ]
-        elif len(known) == len(cases):
-            runs = [*render_over_can(replace(given, axes=tuple(of.axes[0] for of in known)), cycles, counter)]
-        else:  # all axes run together
-            refused = next(case for case in cases if case.scene is None)
-            cases, runs = [refused] * len(cases), [None] * len(cases)
-        for axis, own, case, run in zip(tried, given.axes, cases, runs, strict=True):
-            axis[shown] = _Tried(own, case, run)
-    axes = [_of_axis(scene, *row, repeats) for row in zip(scene.axes, references, tried, strict=True)]
-    result = {**heading_of(scene, cycles, "can" if engine is None else "direct")}
-    accounts = {axis.name: account for axis, account in axes}
-    return Comparison({**result, "axes": accounts}, tuple(axis for axis, _ in axes), scene.bus.sample_time)
+            found = [run_axis(part, references[name][0], cycles, engine, counter) for name, part in known.items()]
+        else:
+            together = replace(case.scene, axes=tuple(of.axes[0] for of in known.values()))
+            found = render_over_can(together, cycles, counter) if known else []
+        for (name, part), run in zip(known.items(), found, strict=True):
+            runs[name][case.shown] = run
+            timed[name][case.shown] = axis_loop.loop_case(part.axes[0], scene), run
+        for name, part in parts.items():
+            rows.append(_row_of(part, case.shown, tried[name], runs[name].get(case.shown), *references[name]))
+    costs = {name: axis_loop.microseconds_per_step(of, repeats) if repeats else {} for name, of in timed.items()}
+    every = [{**row, "microseconds_per_step": costs[row["port"]].get(row["algorithm"])} for row in rows]
+    result = {**heading_of(scene, cycles, "can" if engine is None else "direct"), "rows": every}
+    return Comparison(result, runs, {name: of for name, (of, _) in references.items()}, scene.bus.sample_time)
 
 
 def run_axis(
@@ -199,47 +199,40 @@ def run_axis(
     return render(case, cycles, reach, counter, chosen_engine(engine, work_of(case, cycles) >= WORTH_COMPILING))
 
 
-class _Tried(NamedTuple):
-    """One algorithm on one axis."""
-
-    given: AxisScene  # before its algorithm was exchanged
-    case: UnderAlgorithm
-    run: axis_loop.LoopRun | None  # None: refused
-
-
-def _of_axis(
-    scene: Scene, axis: AxisScene, found: tuple[ContinuousReference | None, str], tried: Mapping[str, _Tried],
-    repeats: int,
-) -> tuple[AxisComparison, Row]:  # fmt: skip
-    """Return the runs of one axis, and their account as plain values."""
-    reference, method = found
-    runs = {name: of.run for name, of in tried.items() if of.run is not None}
-    cases = {name: (axis_loop.loop_case(of.case.scene.axes[0], scene), runs[name]) for name, of in tried.items()
-             if of.case.scene is not None}  # fmt: skip
-    cost = axis_loop.microseconds_per_step(cases, repeats) if repeats else {}
-    accounts = {}
-    for name, (given, case, run) in tried.items():
-        remarks = (f"refused: {case.remark}",) if run is None else (case.remark, run.reason)
-        accounts[name] = {
-            "status": "refused" if run is None else run.ended or "completed",
-            "remark": "; ".join(filter(None, remarks)),
-            "engine": None if run is None else run.engine,
-            **(figures(axis_loop.environment_of(axis), run, reference, scene.bus.sample_time,
-                       axis.parameters.torque_limit) if run is not None and run.position.size else {}),
-            "hand_force": getattr(given.passivity.parameters, "hand_force", None),
-            "microseconds_per_step": cost.get(name),
-        }  # fmt: skip
-    account = {
+def _row_of(
+    given: Scene, name: str, case: UnderAlgorithm, run: axis_loop.LoopRun | None,
+    reference: ContinuousReference | None, method: str,
+) -> Row:  # fmt: skip
+    """Return the row of one algorithm on the only axis of a scene."""
+    [axis] = given.axes
+    known: Row = {}
+    if run is not None and run.position.size:
+        environment, limit = axis_loop.environment_of(axis), axis.parameters.torque_limit
+        known = figures(environment, run, reference, given.bus.sample_time, limit)
+    remarks = (f"refused: {case.remark}",) if run is None else (case.remark, run.reason)
+    return {
+        "port": axis.parameters.name,
         "unit": axis.parameters.unit,
         "environment": axis.environment.name,
-        "reference": {
-            "method": method,
-            "travel": None if reference is None else reference.travel,
-            "force_variation": None if reference is None else reference.variation,
-        },
-        "algorithms": accounts,
+        "reference.method": method,
+        "reference.travel": None if reference is None else reference.travel,
+        "reference.force_variation": None if reference is None else reference.variation,
+        "algorithm": name,
+        "status": "refused" if run is None else run.ended or "completed",
+        "remark": "; ".join(filter(None, remarks)),
+        "engine": None if run is None else run.engine,
+        **known,
+        "passive_by_plant": _passive(known),
+        "hand_force": getattr(axis.passivity.parameters, "hand_force", None),
     }
-    return AxisComparison(axis.parameters.name, axis.parameters.unit, reference, runs), account
+
+
+def _passive(row: Row) -> str | None:
+    """Return yes if, by the plant's energy, the handle never gave out more than it received; else no, or an outcome."""
+    least = row.get("least_interaction")
+    if least is None or least < -PASSIVE_TOLERANCE:
+        return None if least is None else "no"
+    return str(row["outcome"] or "yes")
 
 
 def _of_ports(scene: Scene, names: Sequence[str], cycles: int, engine: Engine, progress: Progress | None) -> Row:
@@ -250,69 +243,62 @@ def _of_ports(scene: Scene, names: Sequence[str], cycles: int, engine: Engine, p
     pays = len(names) * len(ports) * cycles >= WORTH_COMPILING_GROUPS
     torques = all(port.causality is IMPEDANCE for port in ports)
     is_direct = torques and chosen_engine(engine, pays) == "numba"
-    found = (_compiled if is_direct else _over_can)(scene, names, cycles, progress)
-    heading = heading_of(scene, cycles, "direct" if is_direct else "can")
-    if not torques:
-        return {**heading, "axes": found}
-    groups = {
-        port.name: {
-            "axes": [axis.parameters.name for axis in port.axes],
-            "network": port.rendered.name,
-            "unit": port.axes[0].parameters.unit,
-            "algorithms": found[port.name],
-        }
-        for port in ports
-    }
-    return {**heading, "groups": groups}
+    found = [*(_compiled if is_direct else _over_can)(scene, names, cycles, progress)]
+    rows = [_of_port(port, row, truth) for port in ports for name, row, truth in found if name == port.name]
+    return {**heading_of(scene, cycles, "direct" if is_direct else "can"), "rows": rows}
 
 
-def _over_can(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
-    """Return the accounts of each port over the whole CAN path, by algorithm."""
-    runs = accounts_over_can(scene, names, cycles, progress)
-    return {port.name: {name: _account(port, of) for name, of in runs.items()} for port in scene.ports}
+def _of_port(port: Port, row: Row, truth: Row) -> Row:
+    """Return the row of a port: its account, and in place of the energies of that name those of the plant."""
+    booked = {"account.least_interaction": row["least_interaction"]} if "least_interaction" in row else {}
+    whole = {"port": port.name, "environment": port.rendered.name, "unit": port.axes[0].parameters.unit,
+             **({"axes": [axis.parameters.name for axis in port.axes]} if port.section else {}),
+             **row, **booked, **truth}  # fmt: skip
+    return {**whole, "passive_by_plant": _passive(whole)}
 
 
-def _account(port: Port, found: Row) -> Row:
-    """Return the account of a port in a run over CAN; of drives that take velocities it is an entry of its own."""
-    status, remark = found["status"], found["remark"]
-    account = {"status": status, "remark": remark}
-    if port.causality is IMPEDANCE:
-        account["engine"] = "python"
-    if "ports" not in found:
-        return account
-    own, truth = found["ports"][port.name], found["truth"].get(port.name)
-    outcome = own["verdict"] if own["verdict"] in OUTCOMES else ""  # by the headline of the port
-    if port.causality is IMPEDANCE:
-        return {**account, **own, "outcome": outcome, "truth": truth}
-    return {"status": ": ".join(filter(None, (status, remark))), "outcome": outcome, "account": own, "truth": truth}
+def _over_can(
+    scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None
+) -> Iterator[tuple[str, Row, Row]]:
+    """Yield port, account and energies of the plant under each algorithm, over the whole CAN path."""
+    for name, found in accounts_over_can(scene, names, cycles, progress).items():
+        for port in scene.ports:
+            account = found.get("ports", {}).get(port.name, {})
+            verdict = account.get("verdict")
+            ended = {"algorithm": name, "status": found["status"], "remark": found["remark"], "engine": "python"}
+            outcome = {"outcome": verdict if verdict in OUTCOMES else ""} if account else {}
+            yield port.name, {**flat(account), **ended, **outcome}, flat(found.get("truth", {}).get(port.name) or {})
 
 
-def _compiled(scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None) -> dict[str, Row]:
-    """Return the accounts of each port without a bus, by algorithm."""
-    parts, found = axis_loop.parts_of(scene), {port.name: Row() for port in scene.ports}
-    for done, (port, name) in enumerate(product(found, names), 1):
-        found[port][name] = _account_of_run(parts[port], name, cycles)
+def _compiled(
+    scene: Scene, names: Sequence[str], cycles: int, progress: Progress | None
+) -> Iterator[tuple[str, Row, Row]]:
+    """Yield port, account and energies of the plant under each algorithm, without a bus."""
+    parts = axis_loop.parts_of(scene)
+    for done, (port, name) in enumerate(product(parts, names), 1):
+        yield port, *_account_of_run(parts[port], name, cycles)
         if progress is not None:
-            progress(done * cycles // len(found))
-    return found
+            progress(done * cycles // len(parts))
 
 
-def _account_of_run(scene: Scene, name: str, cycles: int) -> Row:
-    """Return the account of the only port; the plant's own energies say whether it was passive."""
+def _account_of_run(scene: Scene, name: str, cycles: int) -> tuple[Row, Row]:
+    """Return the account of the only port, and the plant's own energies, which say whether it was passive."""
     try:
         run = render(axis_loop.under(scene, name).permitted(), cycles, engine="numba")
     except ParameterError as error:
-        return {"status": "refused", "remark": str(error), "engine": None}
-    account: Row = {**run.summary.as_json(scene.bus.sample_time)}
-    account["status"], account["engine"] = run.ended or "completed", run.engine
-    account["remark"] = "; ".join(text for text in (run.reason, run.engine.partition(": ")[2]) if text)
-    account["passive"] = passive_verdict(run.least_interaction)[0]
+        return {"algorithm": name, "status": "refused", "remark": str(error), "engine": None}, {}
     known = {"contact": np.isfinite(run.damping).mean(), "torque_peak": np.abs(run.torque).max(initial=0.0)}
-    account["outcome"] = OUTCOMES[int(outcomes(known.get))]
-    truth = {
+    account = {
+        **flat(run.summary.as_json(scene.bus.sample_time)),
+        "algorithm": name,
+        "status": run.ended or "completed",
+        "engine": run.engine,
+        "remark": "; ".join(text for text in (run.reason, run.engine.partition(": ")[2]) if text),
+        "passive": passive_verdict(run.least_interaction)[0],
+        "outcome": OUTCOMES[int(outcomes(known.get))],
+    }
+    return account, {
         "interaction": float(run.interaction[-1]) if run.interaction.size else 0.0,
         "least_interaction": run.least_interaction,
         "accounted_error": run.believed_error,
     }
-    account["truth"] = with_old_names(truth)
-    return account

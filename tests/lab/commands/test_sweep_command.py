@@ -79,9 +79,9 @@ def test_a_wall_of_which_nothing_is_rendered_is_no_pass_as_a_run_of_the_same_sce
     assert " guarded: 0 % of the scenes with a contact pass (judged by: passive; net energy into the plant" in shown
     assert " at the motor, as `run` judges it), 100 % rendered nothing" in shown
     assert main(["compare", DEMO, "--algorithms", "unprotected,guarded", "--duration", "1.4", *late, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["axes"]["handle"]["algorithms"]
+    found = {row["algorithm"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
     assert [found[name]["outcome"] for name in ("unprotected", "guarded")] == ["", "nothing rendered"]
-    assert found["guarded"]["effort_rendered"]["share"] < 0.1 < found["unprotected"]["effort_rendered"]["share"]
+    assert found["guarded"]["effort_rendered.share"] < 0.1 < found["unprotected"]["effort_rendered.share"]
     assert found["guarded"]["least_interaction"] >= 0.0
 
 

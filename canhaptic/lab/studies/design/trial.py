@@ -385,9 +385,8 @@ class Trial(Trials):
         allowed = bool(scene.own_code)
         wall = scene_from_text(scene.text, scene.source, [*scene.overrides, *overrides], allow_code=allowed)
         [axis] = wall.axes
-        axes = compare(wall, [ALGORITHM], duration=DURATION, repeats=0).result["axes"]
-        hints = stability_hints(axis)
-        run, parameters = axes[axis.parameters.name]["algorithms"][ALGORITHM], axis.passivity.parameters
+        [run] = compare(wall, [ALGORITHM], duration=DURATION, repeats=0).result["rows"]
+        hints, parameters = stability_hints(axis), axis.passivity.parameters
         return {
             "scene": scene.source,
             "unit": axis.parameters.unit,
