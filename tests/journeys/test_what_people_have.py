@@ -124,9 +124,8 @@ def test_algorithms_of_ones_own_are_compared_by_their_names(monkeypatch: pytest.
         return Reply(0.3, 0.3 * asked.spring, 0.0, 0.0, 0.0)
 
     found = canhaptic.compare("demo", [Half, "unprotected", third], duration=0.03, repeats=0)
-    [axis] = found.axes
     assert [row["algorithm"] for row in found.result["rows"]] == ["Half", "unprotected", "third"]
-    assert set(axis.runs) == {"Half", "unprotected", "third"}
+    assert set(found.runs["handle"]) == {"Half", "unprotected", "third"}
     assert solved.call_count == 1  # one continuous run for all of them
     with pytest.raises(InputError, match="expected the name of an algorithm, or a class or a function"):
         canhaptic.compare("demo", [canhaptic.Environment])

@@ -40,13 +40,13 @@ def test_the_loop_is_near_the_ideal_display_and_a_coarser_one_is_further_off(
     words = ["accuracy", str(NODE), "--duration", "0.3", "--json", "--set", "passivity={algorithm: unprotected}"]
     assert main([*words, "--set", "simulation.admittance.sensor.noise=0 N"]) == 0
     found = json.loads(capsys.readouterr().out)
-    rates = {row["to"]: row["position_error"] for row in found["loop"] if row["changed"] == "rate"}
-    scene = next(row["position_error"] for row in found["loop"] if row["changed"] == "the scene")
+    rates = {row["setting"]: row["position_error"] for row in found["loop"] if row["group"] == "rate"}
+    scene = next(row["position_error"] for row in found["loop"] if row["is_scene"])
     assert scene < rates["500 Hz"]
     assert max(rates.values()) < 0.05 * found["reference"]["travel"]
     assert found["reference"]["apart"] < 0.5 * min(scene, *rates.values())
     assert found["plant"][0]["position_error"] < 1e-12
-    assert {"algorithm", "sampling", "sensor", "encoder"} <= {row["changed"] for row in found["loop"]}
+    assert {"algorithm", "sampling", "sensor", "encoder"} <= {row["group"] for row in found["loop"]}
 
 
 @pytest.mark.slow
@@ -63,14 +63,14 @@ def test_a_group_and_what_has_no_equations_are_studied_as_far_as_they_go() -> No
 
 def test_the_table_of_the_loop_has_the_columns_that_its_rows_have_and_says_what_was_refused() -> None:
     known = {"position_error": 1e-6, "energy_error": 2e-6, "mass_felt": float("nan"), "guard_acts": 0.1}
-    rows = [{"changed": "the scene", "to": "", "status": "ok", **known},
-            {"changed": "rate", "to": "500 Hz", "status": "too fast", **known},
-            {"changed": "algorithm", "to": "guarded", "status": "refused: no mass"}]  # fmt: skip
+    rows = [{"group": "the scene", "setting": "", "is_scene": True, "status": "ok", **known},
+            {"group": "rate", "setting": "500 Hz", "is_scene": False, "status": "too fast", **known},
+            {"group": "algorithm", "setting": "guarded", "is_scene": False, "status": "refused: no mass"}]  # fmt: skip
     [table] = accuracy_tables({"unit": "m", "reference": {"travel": 1.0}, "plant": [], "loop": rows})
     lines = [line for line in table.markdown().splitlines() if line.startswith("|")]
     assert [line.strip("| ") for line in (lines[0], *lines[2:])] == [
         "changed | to | position | energy | mass felt | guard acts",
-        "the scene |  | 1.00 um | 2.00 uJ | - | 10 %",
+        "**the scene** |  | 1.00 um | 2.00 uJ | - | 10 %",
         "rate | 500 Hz (ended: too fast) | 1.00 um | 2.00 uJ | - | 10 %",
         "algorithm | guarded | refused",
     ]
@@ -102,8 +102,8 @@ def test_page_and_markdown_show_every_change(tmp_path: Path, capsys: pytest.Capt
     assert {line.count(" | ") for line in rows} == {7}
     page = files["html"].read_text(encoding="utf-8")
     for row in found["loop"]:
-        assert f"| {row['changed']} | {row['to']}" in "\n".join(rows)
-        assert row["to"] in page
+        assert f"| {row['group']} | {row['setting']}" in "\n".join(rows).replace("**", "")
+        assert row["setting"] in page
     assert "position" in page
     nothing = found.copy()
     nothing["loop"] = []

@@ -454,7 +454,7 @@ def _loop_table(result: Row) -> Table:
     mark = "; !: cycle too long" if _BUS in shown else ""
     title = f" loop: largest difference from {to}, one thing changed{mark}"
     heads = ("changed", "to", *(column.head for column in shown))
-    return _table(title, heads, cells, [row.get("is_scene", False) for row in rows])
+    return _table(title, heads, cells, [row["is_scene"] for row in rows])
 
 
 def _columns(rows: Sequence[Row]) -> list[_Column]:
@@ -463,9 +463,8 @@ def _columns(rows: Sequence[Row]) -> list[_Column]:
 
 def change(row: Row) -> tuple[str, str]:
     """Return what a row of the loop changes, and to what; with why a run that has errors ended early."""
-    what, to = row.get("group", row.get("changed")), row.get("setting", row.get("to"))
     is_short = row["status"] != "ok" and row.get("position_error") is not None
-    return str(what), f"{to} (ended: {row['status'][:40]})" if is_short else str(to)
+    return row["group"], f"{row['setting']} (ended: {row['status'][:40]})" if is_short else row["setting"]
 
 
 def _value(row: Row, column: _Column) -> Any:

@@ -58,7 +58,7 @@ class IdealStudy(PortStudy):
 
     def _row(self, variant: Variant) -> Row:
         steps = round(self._steps * variant.sample_time_ns / self.alone.bus.sample_time_ns)
-        row, clock = Row(changed=variant.group, to=variant.setting), ProcessorClock()
+        row, clock = Row(group=variant.group, setting=variant.setting, is_scene=variant.is_scene), ProcessorClock()
         begin = clock.now()
         try:
             run = render(variant.scene, self.holds * self._steps // steps)
@@ -127,7 +127,7 @@ def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> Row:
 
 def _variants(scene: Scene) -> Iterator[Variant]:
     """Yield the scene and its changes."""
-    yield Variant("the scene", "", scene)
+    yield Variant("the scene", "", scene, is_scene=True)
     for factor in (0.5, 2.0, 4.0):
         rate = factor / scene.bus.sample_time
         yield Variant("rate", f"{rate:g} Hz", at_rate(scene, rate))

@@ -20,7 +20,6 @@ from canhaptic.drive.clock import ProcessorClock
 from canhaptic.errors import ParameterError
 from canhaptic.lab.batch import WORTH_COMPILING, WORTH_COMPILING_GROUPS, ChosenEngine, Engine, chosen_engine
 from canhaptic.lab.batch.scalar import render, work_of
-from canhaptic.lab.judge.reference_model import MotionError
 from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.axis_loop import at_rate
 from canhaptic.lab.reference import ContinuousRun
@@ -56,6 +55,9 @@ _GROUP_SUBSTEPS: Final = 8
 """Substeps of the plants of a group; with order 2, the error of a mechanism is then far below that of its loop."""
 _TRAVELS: Final = 10.0
 """Distance from the origin that counts as divergence of a group, as a multiple of the continuous run's."""
+_IDEAL: Final = 1e9
+"""Number that represents in JSON the infinite fineness of a method without a step."""
+_ERRORS: Final = ("position_error", "force_error", "energy_error")
 _ENCODER_EFFECTS: Final = ("encoder_noise", "encoder_quantisation")
 
 
@@ -117,16 +119,6 @@ class Variant:
         is_coarse = any(axis.loop.encoder_count for axis in self.scene.axes)  # decides the lengths of the buffers
         compiled = f"{_algorithm_of(self.scene)} {self.sample_time_ns} {self.scene.bus.delay} {is_coarse}"
         return compiled, cycles * WORTH_COMPILING / WORTH_COMPILING_GROUPS
-
-
-@dataclass(frozen=True, slots=True)
-class LoopRow:
-    """Run of one variant of the loop, with its errors and its computing time."""
-
-    variant: Variant
-    run: axis_loop.LoopRun
-    errors: MotionError  # the largest over the run, infinite where it ended early
-    seconds: float  # processor time of the run, plant and recording included
 
 
 def variants(alone: Scene, whole: Scene, refused: Callable[[str], None] = lambda _: None) -> list[Variant]:
@@ -278,17 +270,14 @@ def _without(axis: AxisScene, name: str) -> AxisScene:
 
 
 def loop_row(
-    variant: Variant,
-    exact: ContinuousRun,
-    step_ns: int,
-    duration_ns: int,
-    tick: Callable[[], None],
+    variant: Variant, scene: Scene, exact: ContinuousRun, step_ns: int, duration_ns: int, tick: Callable[[], None],
     engine: ChosenEngine = "python",
-) -> LoopRow:
-    """Return the row of one variant after its run.
+) -> tuple[Row, axis_loop.LoopRun]:  # fmt: skip
+    """Return the row of one variant, and its run.
 
     Args:
         variant: Variant of the loop.
+        scene: Whole scene, whose axes share the bus.
         exact: Motion of the continuous axis or group, at least as finely sampled as the variant.
         step_ns: Time between two of its readings [ns].
         duration_ns: Length of the run [ns].
@@ -298,17 +287,33 @@ def loop_row(
     period, clock = variant.sample_time_ns, ProcessorClock()
     begin = clock.now()
     run = variant.render(duration_ns // period + 1, exact.position, tick, engine)
-    seconds = (clock.now() - begin) * 1e-9
-    if run.ended:
-        return LoopRow(variant, run, MotionError(math.inf, math.inf, math.inf), seconds)
+    seconds, stable = (clock.now() - begin) * 1e-9, not run.ended
+    row = {
+        "group": variant.group,
+        "setting": variant.setting,
+        "is_scene": variant.is_scene,
+        "remark": variant.remark or run.reason,
+        "engine": run.engine,
+        "fineness": None if variant.fineness is None else min(variant.fineness, _IDEAL),
+        "largest_torque": float(np.abs(run.torque).max(initial=0.0)),
+        "status": "ok" if stable else "unstable" if run.ended == "diverged" else run.ended,
+        **dict(zip(_ERRORS, _errors(run, exact, step_ns, period) if stable else (None, None, None), strict=True)),
+        "energy_uncertainty": run.believed_error,
+        "energy_given_out": -run.least_interaction,
+        "cpu_per_second": seconds / (duration_ns * 1e-9),
+        "rate": variant.scene.bus.rate,
+        **bus_figures(variant, scene),
+    }
+    return row, run
+
+
+def _errors(run: axis_loop.LoopRun, exact: ContinuousRun, step_ns: int, period: int) -> list[float]:
+    """Return the largest errors of position, mean torque of a hold and energy."""
     stride = period // step_ns
     impulse = exact.impulse[::stride]
     mean = np.diff(impulse, axis=0, prepend=np.zeros_like(impulse[:1])) / (period * 1e-9)
-    compared = (
-        (run.true_position, run.torque, run.interaction),
-        (exact.position[::stride], mean, exact.interaction[::stride]),
-    )
-    return LoopRow(variant, run, MotionError(*largest_apart(*compared)), seconds)
+    of_run = run.true_position, run.torque, run.interaction
+    return largest_apart(of_run, (exact.position[::stride], mean, exact.interaction[::stride]))
 
 
 def largest_apart(columns: Sequence[Array], exact: Sequence[Array]) -> list[float]:

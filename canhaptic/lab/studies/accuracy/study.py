@@ -19,14 +19,12 @@ from functools import partial
 from operator import itemgetter
 from typing import Any, Final
 
-import numpy as np
-
 from canhaptic.drive.clock import ProcessorClock
 from canhaptic.drive.profile.causality import IMPEDANCE
 from canhaptic.errors import CanHapticError, InputError
 from canhaptic.lab.batch import Engine
 from canhaptic.lab.judge.solvers import NotSolvedError
-from canhaptic.lab.loop.axis_loop import microseconds_per_step
+from canhaptic.lab.loop.axis_loop import LoopRun, microseconds_per_step
 from canhaptic.lab.reference import continuous_motion
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy import loop_sensitivity, plant_solvers, timing
@@ -47,8 +45,6 @@ _BEFORE: Final = 0.5
 """Part of the references' share of the progress bar that a single reference may fill."""
 _TENTH: Final = 0.1
 _REPEATS: Final = 3
-_IDEAL: Final = 1e9
-"""Number that represents in JSON the infinite fineness of a method without a step."""
 
 
 def study_accuracy(
@@ -112,7 +108,7 @@ class AccuracyStudy(PortStudy):
         counts = max(abs(axis.parameters.counts_per_unit) for axis in self.alone.axes)
         self._tolerance = self.tolerance or self.scene.accuracy_tolerance or _TENTH / counts
         self._plant: plant_solvers.Plants | None = None
-        self._loops: list[loop_sensitivity.LoopRow] = []
+        self._loops: list[tuple[loop_sensitivity.Variant, LoopRun]] = []
         self._times: dict[str, timing.ProcessorTime] = {}
         self._run_price: timing.RunPrice | None = None
         self._remarks: list[str] = []
@@ -176,9 +172,10 @@ class AccuracyStudy(PortStudy):
             if number and self._is_over("loops"):
                 self._remark(f"left out: {len(every) - number} of {len(every)} changes of the loop, for their time")
                 return
-            rendered = loop_sensitivity.loop_row(variant, exact, step, self.holds * period, self._check, engine)
-            self._loops.append(rendered)
-            self._rows.append(self._loop_row(rendered))
+            whole = self.scene, exact, step, self.holds * period
+            row, run = loop_sensitivity.loop_row(variant, *whole, self._check, engine)
+            self._loops.append((variant, run))
+            self._rows.append(row)
             self._advance("loops", (number + 1) / len(every))
 
     def _left(self, part: str) -> float:
@@ -225,7 +222,7 @@ class AccuracyStudy(PortStudy):
             advance = partial(self._advance, "times", begin=begin)
             self._times |= timing.interleaved(jobs, 0.5 * budget, self.stop, advance)
         self._check()
-        cases = {str(i): (row.variant, row.run) for i, row in enumerate(self._loops) if row.run.torque.any()}
+        cases = {str(i): (variant, run) for i, (variant, run) in enumerate(self._loops) if run.torque.any()}
         each = microseconds_per_step(cases, _REPEATS, 0.5 * budget)
         try:
             exchange = timing.exchange_time(self.scene, self.holds)
@@ -239,25 +236,6 @@ class AccuracyStudy(PortStudy):
             row["control_thread_us"] = thread = None if step is None or exchange is None else step + exchange
             row["thread_share"] = None if thread is None else thread * 1e-6 * row["rate"]
         self._advance("times", 1.0)
-
-    def _loop_row(self, row: loop_sensitivity.LoopRow) -> Row:
-        variant, run, stable = row.variant, row.run, not row.run.ended
-        return {
-            "group": variant.group,
-            "setting": variant.setting,
-            "is_scene": variant.is_scene,
-            "remark": variant.remark or run.reason,
-            "engine": run.engine,
-            "fineness": None if variant.fineness is None else min(variant.fineness, _IDEAL),
-            "largest_torque": float(np.abs(run.torque).max(initial=0.0)),
-            "status": "ok" if stable else "unstable" if run.ended == "diverged" else run.ended,
-            **{f"{name}_error": value if stable else None for name, value in row.errors._asdict().items()},
-            "energy_uncertainty": run.believed_error,
-            "energy_given_out": -run.least_interaction,
-            "cpu_per_second": row.seconds / (self.holds * self.scene.bus.sample_time),
-            "rate": variant.scene.bus.rate,
-            **loop_sensitivity.bus_figures(variant, self.scene),
-        }
 
     def result(self) -> Row:
         """Return all results so far, as plain values."""
