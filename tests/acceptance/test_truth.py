@@ -272,7 +272,6 @@ def test_a_known_way_out_is_closed_where_it_is_declared_or_follows_from_the_scen
     assert row["yes"] == row["of"]
 
 
-@pytest.mark.slow
 def test_a_late_sync_that_is_declared_falsely_gives_energy_out_and_is_noticed():
     [way] = [way for way in WAYS if "0.49 T late" in way.what]
     row = row_of(way, 2)
