@@ -46,7 +46,7 @@ def drive(made, delay, script):
 @pytest.mark.slow_but("1-*-spring_damper_wall", "0-guarded-*", "1-internal_dissipation-detents")
 @every_algorithm
 @pytest.mark.parametrize("delay", [0, 1, pytest.param(3, marks=pytest.mark.slow)])
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(script=moves)
 def test_every_joule_of_every_hold_has_a_name(environment, algorithm, delay, script):
     made = controller(algorithm, EVERY[environment][0], delay)

@@ -24,8 +24,6 @@ from canhaptic.control.passivity.stepped import (
     HoldAccount,
     HoldSettings,
     begin,
-    efforts_inside,
-    let_samples_pass,
     open_hold,
     settle,
     surplus_after,
@@ -150,16 +148,6 @@ def test_a_torque_that_was_cut_has_as_much_less_of_its_damper_in_it() -> None:
     assert lost[1] == pytest.approx(0.25 * lost[0])
 
 
-def test_a_torque_against_its_command_has_nothing_of_its_damper_in_it() -> None:
-    commands = Commands([2.0, 0.0], [0.5, 0.3], [0.2, 0.1])
-    assert efforts_inside(commands, 0, 2.0) == (0.5, 0.2)
-    assert efforts_inside(commands, 0, 1.0) == (0.25, 0.1)
-    assert efforts_inside(commands, 0, 9.0) == (0.5, 0.2)
-    assert efforts_inside(commands, 0, -1.0) == (0.0, 0.0)
-    assert efforts_inside(commands, 1, 1.0) == (0.0, 0.0)
-    assert efforts_inside(Commands([2.0], [0.0], [-0.2]), 0, 1.0) == (0.0, -0.1)
-
-
 def test_the_timing_of_holds_is_what_is_declared_of_them() -> None:
     timing = hold_timing(T, 0.02, 1e-4, 5e-5)
     assert (timing.shortest, timing.longest) == pytest.approx((0.98 * T, 1.02 * T))
@@ -173,16 +161,6 @@ def test_beyond_half_a_time_constant_the_torque_before_counts_as_without_damping
         before = displacement_response(T, MASS, PULL, damping, damping).before
         undamped = pytest.approx(0.5 * T * T / MASS)
         assert (before < 0.95 * 0.5 * T * T / MASS) if is_damped else (before == undamped)
-
-
-def test_lost_samples_let_the_commands_pass_as_far_as_the_limit_lets_them_act() -> None:
-    """For each hold lost, the difference of its torque from the last one over the whole way and that before."""
-    commands = Commands([5.0, 1.0], [0.5, 0.1], [0.0, 0.0])
-    axis = Axis(oldest=0, missed=3, moved=-2e-4)
-    found = let_samples_pass(axis, commands, 1e-4, -1.0, 3.0)
-    assert found == pytest.approx(((3.0 + 1.0) + (1.0 + 1.0) + (1.0 + 1.0)) * (1e-4 + 3 * 2e-4))
-    assert (axis.missed, axis.oldest) == (0, 1)
-    assert (commands.torques, commands.dampers) == ([1.0, 1.0], [0.1, 0.1])
 
 
 def test_over_lost_samples_no_effort_inside_a_torque_is_known() -> None:
@@ -205,12 +183,3 @@ def test_the_velocity_of_a_hold_is_its_own_or_that_of_a_window(tolerance: float)
     for place in (0.4e-6, 0.8e-6, 1.0e-6):
         found = open_hold(settings, axis, memory, place, 0.0)
     assert found.velocity == pytest.approx(1.0e-6 / (3 * T) if tolerance else 0.2e-6 / T)
-
-
-def test_the_velocity_over_lost_samples_is_the_mean_of_all_of_them() -> None:
-    settings = HoldSettings(T, 0, math.inf, 0.0, 0, 4)
-    axis, memory = Axis(), AxisMemory([], Commands([0.0], [0.0], [0.0]))
-    begin(axis, memory, 0.0)
-    axis.missed = 2
-    found = open_hold(settings, axis, memory, 3e-4, 0.0)
-    assert (found.elapsed, found.velocity) == pytest.approx((3 * T, 1e-4 / T))

@@ -9,13 +9,10 @@ from typing import Any
 import pytest
 
 from canhaptic.control.balance import Branch, Certificate, residual
-from canhaptic.control.certificates.certified_torque import Declared, TorqueBound, bound_memory, end_hold
-from canhaptic.control.certificates.scalar_bounds import NO_RESPONSE
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity import LoopProperties, build_controller
 from canhaptic.control.passivity.guarded import GuardedParameters
 from canhaptic.errors import ParameterError
-from canhaptic.kernels import list_of_zeros
 from tests.adversary.axis import MASS, PUSH, Loss, guarded, run
 from tests.adversary.users import HAND_FORCE, USERS
 
@@ -257,13 +254,3 @@ def test_a_modulated_damper_pays_the_surplus_back_in_a_wall_that_dissipates_noth
         paid += balance.h_pas
         last = balance
     assert paid > 1e-4
-
-
-def test_every_change_of_torque_leaves_half_an_encoder_count_unsure() -> None:
-    count = 1e-5
-    declared, bound = Declared(1e-3, 0, 0, False, NO_RESPONSE, 0.0, 1.0, count), TorqueBound()
-    memory = bound_memory(declared, [0.0], list_of_zeros)
-    torques = (1.0, -2.0, 0.5)
-    for torque in torques:
-        end_hold(declared, bound, memory, 0.0, torque)
-    assert bound.uncertainty == pytest.approx(0.5 * count * (1.0 + 3.0 + 2.5 + abs(torques[-1])), rel=1e-14)

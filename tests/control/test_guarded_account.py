@@ -18,7 +18,6 @@ from canhaptic.control.passivity.guarded import (
     memory_of,
     relax,
     settings_of,
-    within_limits,
 )
 from canhaptic.kernels import Run, list_of_zeros
 
@@ -114,19 +113,3 @@ def test_what_is_kept_for_contacts_that_turn_holds_the_hands_push() -> None:
         for push in (5.0, 20.0)
     ]
     assert kept[1] == pytest.approx(16.0 * kept[0])
-
-
-def test_the_power_limit_bounds_the_torque_by_the_speed_along_it_and_not_against_it() -> None:
-    loop = LOOP.model_copy(update={"power_limit": 2.0, "torque_limit": 50.0})
-    settings = settings_of(SpringDamperWall(stiffness=500.0), GuardedParameters(hand_force=1.0), loop)
-    moved = 0.1 * loop.sample_time  # at 0.1 m/s
-    assert math.isclose(within_limits(settings, 0.0, 1.0, moved), 20.0)
-    assert math.isclose(within_limits(settings, 0.0, -1.0, -moved), 20.0)
-    assert within_limits(settings, 0.0, -1.0, moved) == within_limits(settings, 0.0, 1.0, 0.0) == 50.0
-
-
-def test_the_farthest_path_of_a_hand_grows_with_the_delay() -> None:
-    for delay in (0, 1, 2):
-        loop = LOOP.model_copy(update={"delay": delay})
-        settings = settings_of(SpringDamperWall(stiffness=5.0), GuardedParameters(hand_force=1.0, hand_speed=0.5), loop)
-        assert math.isclose(settings.path, 0.5 * loop.sample_time * (1 + delay))

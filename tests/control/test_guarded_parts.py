@@ -165,14 +165,6 @@ def test_a_lost_sample_repeats_the_torque_and_says_nothing_of_damping_and_certif
     assert (lost.damping_rendered, lost.certificate) == (0.0, Certificate.EXACT.value)
 
 
-def test_the_motion_over_skipped_syncs_is_a_mean() -> None:
-    controller = Guarded(WALL, GuardedParameters(), loop())
-    controller.step(0.01, 0.0)
-    controller.note_skipped_syncs(3.0)
-    controller.step(0.016, 0.0)
-    assert controller._state.motion.step == pytest.approx(0.002)
-
-
 def test_a_program_keeps_of_the_dissipation_what_the_torque_it_asks_for_needs() -> None:
     of = replace(settings(), earned=0.0, damped_stiffness=400.0, torque_limit=8.0)
     for asked, kept in ((4.0, 0.5 * 16.0 / 400.0), (-4.0, 0.5 * 16.0 / 400.0), (20.0, 0.5 * 64.0 / 400.0)):
@@ -255,17 +247,3 @@ def test_a_torque_that_may_reach_a_crest_is_permitted_as_one_beside_it() -> None
     far.state.bound.out, far.state.bound.displacement = 1.0, 1e-5
     assert permitted_size(far, 50.0, 1e-4, 0.0)[0] > 1.2 * sizes[0]
     assert not far.state.bound.turns
-
-
-def test_a_surplus_is_taken_out_by_a_damper_inside_the_torque() -> None:
-    wall = SpringDamperWall(stiffness=100.0, damping=1.0, position=0.0)
-    controller = Guarded(wall, GuardedParameters(alpha="200 s/m^2", energy_allowance=1.0), loop())
-    torque, taken = 0.0, list[float]()
-    for place in range(30):
-        balance = controller.step(1e-3 - 1e-4 * place, torque)
-        torque = balance.torque
-        taken.append(balance.h_pas)
-        if place == 15:
-            controller._state.axis.h_dis = 0.01
-    assert set(taken[:17]) == {0.0}
-    assert min(taken[17:20]) > 0.0

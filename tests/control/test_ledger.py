@@ -106,9 +106,6 @@ def test_the_json_of_a_port_has_the_shared_names_and_no_number_that_json_lacks()
     json.dumps(port, allow_nan=False)
 
 
-_cache = {}
-
-
 @pytest.mark.parametrize(
     ("least", "resolution", "expected"),
     [

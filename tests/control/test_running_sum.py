@@ -6,7 +6,6 @@ from dataclasses import fields
 
 from canhaptic.control.balance import AT_REST, Certificate, RunningSum, add
 from canhaptic.control.certificates.certified_torque import TorqueBound
-from canhaptic.control.environments.hardening_wall import HardeningWall
 from canhaptic.control.multi_axis.group_kernel import GroupMotion
 from canhaptic.control.passivity.stepped import Axis
 from canhaptic.control.verdict import ACTIVE_AT_HANDLE, ACTIVE_AT_MOTOR, PortResult, add_verdicts, claim_nothing
@@ -79,8 +78,3 @@ def test_a_state_before_its_first_hold_has_lost_no_sample_and_holds_no_energy() 
     ):
         defaults = {field.name: field.default for field in fields(kind)}
         assert [defaults[name] for name in names] == [0] * len(names)
-
-
-def test_a_wall_is_a_linear_spring_only_without_hardening() -> None:
-    found = [HardeningWall(stiffness=700.0, hardening=hardening).linear_stiffness for hardening in (0.0, 1.0)]
-    assert found == [700.0, None]

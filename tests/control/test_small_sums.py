@@ -6,9 +6,6 @@ import pytest
 
 from canhaptic.control.damping import (
     VelocityWindow,
-    damping_cap,
-    largest_stable_damping,
-    least_oscillating_damping,
     modulated_damping,
     restart,
     update,
@@ -17,8 +14,6 @@ from canhaptic.control.passivity.stepped import (
     Axis,
     AxisMemory,
     Commands,
-    Hold,
-    HoldAccount,
     HoldSettings,
     clipped,
     efforts_inside,
@@ -26,30 +21,10 @@ from canhaptic.control.passivity.stepped import (
     open_hold,
     repeat,
     send,
-    settle,
-    surplus_after,
     towards_zero,
 )
 
 T, MASS = 1e-3, 0.25
-
-
-@pytest.mark.parametrize(("delay", "part"), [(0, 0.343146), (1, 0.180340), (2, 0.121523)])
-def test_a_free_mass_ripples_above_the_damping_of_the_characteristic_equation(delay: int, part: float) -> None:
-    found = least_oscillating_damping(delay, MASS, T)
-    assert found * T / MASS == pytest.approx(part, rel=1e-5)
-    assert damping_cap(delay, MASS, T) == found
-    assert damping_cap(delay, None, T) == math.inf
-    least = math.inf
-    for step in range(1, 2000):  # g = (1 - z) z^n / (1 + z) is largest there
-        z = step / 2000.0
-        least = min(least, -(1.0 - z) * z ** (1 + delay) / (1.0 + z))
-    assert found * T / (2.0 * MASS) == pytest.approx(-least, rel=1e-5)
-
-
-@pytest.mark.parametrize(("delay", "part"), [(0, 2.0), (1, 0.828427), (2, 0.535898)])
-def test_a_free_mass_diverges_above_the_largest_stable_damping(delay: int, part: float) -> None:
-    assert largest_stable_damping(delay, MASS, T) * T / MASS == pytest.approx(part, rel=1e-5)
 
 
 def test_the_modulated_damper_is_proportional_to_the_surplus_up_to_its_cap_and_to_what_the_hold_can_take() -> None:
@@ -101,18 +76,6 @@ def test_a_torque_is_clipped_and_rounded_towards_zero() -> None:
     assert towards_zero(1.4, 0.0) == 1.4
 
 
-def test_a_hold_is_settled_by_dissipation_first_then_deficit_or_leak() -> None:
-    """(stored, surplus, dissipated, deficit, leak, paid)."""
-    assert settle(5.0, 1.0, 2.0, 9.0, 3.0) == (3.0, 1.0, 2.0, 0.0, 0.0, 0.0)
-    assert settle(5.0, 1.0, 4.0, 9.0, 3.0) == (2.0, 1.0, 3.0, 0.0, 0.0, 0.0)  # no more than the slack
-    assert settle(-1.0, 0.5, 0.0, 2.0, 0.0) == (0.0, 1.5, 0.0, 1.0, 0.0, 0.0)
-    assert settle(5.0, 2.0, 0.0, 4.0, 0.0) == (4.0, 1.0, 0.0, 0.0, 1.0, 1.0)  # the surplus pays
-    assert settle(5.0, 0.25, 0.0, 4.0, 0.5) == (4.25, 0.0, 0.0, 0.0, 0.75, 0.25)  # and the slack beyond it
-    assert settle(5.0, -1.0, 0.0, 4.0, 0.0) == (5.0, -1.0, 0.0, 0.0, 0.0, 0.0)  # nothing may leak
-    assert settle(5.0, 0.0, 0.0, 4.0, 0.0) == (5.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    assert settle(5.0, -1.0, 0.0, 4.0, 2.0) == (4.0, -1.0, 0.0, 0.0, 1.0, 0.0)
-
-
 def axis_of(torques: list[float], **values: float) -> tuple[Axis, AxisMemory]:
     axis = Axis(started=True, position=0.0, **values)  # type: ignore[arg-type]
     zeros = [0.0] * len(torques)
@@ -143,10 +106,3 @@ def test_a_velocity_from_a_window_begins_anew_after_a_hold_of_several_sample_tim
     holds = missed + hold_length
     assert (hold.elapsed, hold.velocity) == pytest.approx((holds * T, 4e-4 / (holds * T)))
     assert (axis.window.length, axis.window.anchor, axis.hold_length) == (0, 7e-4, 1.0)
-
-
-def test_a_leak_is_paid_from_the_surplus_as_far_as_there_is_one() -> None:
-    axis, hold = Axis(h_dis=2.0), Hold(0.0, 0.0, 0.0, 0.5, T, 0.0, 0.0, 0)
-    assert surplus_after(axis, hold, HoldAccount(0, 0.0, 0.25, 0.125, 1.0)) == (2.0 + 0.25 + 0.125 - 0.5 - 1.0, 1.0)
-    assert surplus_after(axis, hold, HoldAccount(0, 0.0, 0.0, 0.0, 4.0)) == (0.0, 1.5)
-    assert surplus_after(Axis(), hold, HoldAccount(0, 0.0, 0.0, 0.0, 4.0)) == (-0.5, 0.0)

@@ -31,7 +31,7 @@ def pair_of(changes=(), logs=(None, None)):
 def run(tmp_path_factory):
     logs = [tmp_path_factory.mktemp("far") / name for name in ("a.h5", "a.far.h5")]
     pair = pair_of(logs=logs)
-    return pair.run_through(0.8, lambda: False), logs, pair
+    return pair.run_through(0.6, lambda: False), logs, pair
 
 
 def test_energy_crosses_and_neither_side_nor_both_give_out_what_did_not_come(run):
@@ -167,22 +167,30 @@ def test_two_logs_are_joined_by_their_packets_and_a_log_that_hides_energy_fails(
     assert found["least"] >= -found["resolution"]
     assert 1 < found["widest"] < 40  # SYNCs in a round trip
     assert found["session"] > 0
-    hidden = tmp_path / "hidden.h5"
-    shutil.copy(second, hidden)
-    with h5py.File(hidden, "r+") as file:
-        energy = file["ports/handle/h_i"][:]
-        energy[700] -= 0.1
-        file["ports/handle/h_i"][:] = energy
-    assert main(["inspect", str(first), str(second), "--check", "passive"]) == 0
-    assert main(["inspect", str(first), str(hidden), "--check", "passive"]) == 1
+    hidden = hiding(second, tmp_path)
+    with EnergyLog.open(first) as log, EnergyLog.open(hidden) as other:
+        assert not joined(log, other)["holds"]
     with h5py.File(hidden, "r+") as file:
         file["far/session"][:] += 1
     with EnergyLog.open(first) as log, EnergyLog.open(hidden) as other, pytest.raises(InputError, match="no session"):
         joined(log, other)
 
 
+def hiding(path, folder):
+    """Returns a copy of a log in which 1 J is given out behind the packets."""
+    hidden = folder / "hidden.h5"
+    shutil.copy(path, hidden)
+    with h5py.File(hidden, "r+") as file:
+        energy = file["ports/handle/h_i"][:]
+        energy[500] -= 1.0
+        file["ports/handle/h_i"][:] = energy
+    return hidden
+
+
 @pytest.mark.slow
-def test_two_logs_of_one_link_are_drawn_as_one_picture(run, tmp_path):
+def test_two_logs_of_one_link_are_judged_and_drawn_as_one_picture(run, tmp_path):
+    assert main(["inspect", *map(str, run[1]), "--check", "passive"]) == 0
+    assert main(["inspect", str(run[1][0]), str(hiding(run[1][1], tmp_path)), "--check", "passive"]) == 1
     picture = tmp_path / "both.svg"
     assert main(["inspect", *map(str, run[1]), "--svg", str(picture)]) == 0
     drawn = picture.read_text(encoding="utf-8")

@@ -7,6 +7,7 @@ import ast
 import inspect
 import textwrap
 from collections.abc import Iterator
+from functools import cache
 from types import FunctionType
 from typing import Any
 
@@ -62,6 +63,7 @@ def reached(function: Any, known: set[Any]) -> Iterator[Any]:
             yield from reached(value, known)
 
 
+@cache
 def faults(function: Any) -> list[str]:
     """Returns what a kernel must not have."""
     (definition,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body

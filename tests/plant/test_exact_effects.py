@@ -7,12 +7,10 @@ import pytest
 from canhaptic.errors import ParameterError
 from canhaptic.sim.plant.effects import encoder_noise
 from canhaptic.sim.plant.effects.voltage_limit import VoltageLimit
-from canhaptic.sim.plant.user import UserParameters
 from tests.plant.plant_scenes import (
     DAMPING,
     MASS,
     MS,
-    USER_S,
     ReferenceMode,
     Way,
     hand,
@@ -185,29 +183,6 @@ def test_backlash_agrees_with_an_event_located_reference():
     expected = reference(modes, "free", [0.0] * 6, TORQUES, 1e-3)
     assert difference(run(plant, TORQUES), expected[:, 0]) <= 1e-9
     assert plant.events >= 4
-    assert residual(plant) <= 1e-12 * largest_flow(plant)
-
-
-@pytest.mark.slow
-def test_tremor_and_a_change_of_grasp_inside_a_hold_agree_with_an_adaptive_integrator():
-    change = 0.0603017
-    firm = UserParameters(stiffness=1000, damping=10, motion=USER_S.motion)
-
-    def rates(t: float, y: Any, u: float) -> list[float]:
-        user = USER_S if t < change else firm
-        omega = 2 * math.pi * 9
-        shake = user.stiffness * 1e-3 * math.sin(omega * t + 0.4) + user.damping * 1e-3 * omega * math.cos(
-            omega * t + 0.4
-        )
-        return [y[1], (u + hand(t, y[0], y[1], user) + shake - DAMPING * y[1]) / MASS]
-
-    before = ReferenceMode(rates, [Way(lambda t, y, u: change - t, "after")])
-    expected = reference({"before": before, "after": ReferenceMode(rates)}, "before", [0, 0], TORQUES, 1e-3)
-    plant = make_plant(
-        {"type": "grasp_change", "time": change, "stiffness": 1000, "damping": 10},
-        {"type": "tremor", "amplitude": 1e-3, "frequency": 9, "phase": 0.4},
-    )
-    assert difference(run(plant, TORQUES), expected[:, 0]) <= 1e-10
     assert residual(plant) <= 1e-12 * largest_flow(plant)
 
 

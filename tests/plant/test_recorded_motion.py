@@ -5,9 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
 
 from canhaptic.errors import ParameterError, SceneError
 from canhaptic.scene.load import load_scene
@@ -31,31 +28,6 @@ def _table(folder: Path, text: str) -> str:
 def _scene(folder: Path, text: str, *overrides: str) -> Scene:
     motion = f"simulation.user.motion={{type: recorded, file: {_table(folder, text)}}}"
     return load_scene(DEMO, [motion, *overrides])
-
-
-@pytest.mark.slow
-@given(st.lists(st.tuples(st.integers(3, 40), st.integers(-100, 100)), min_size=2, max_size=12))
-def test_the_plant_follows_the_lines_of_any_table_as_an_ode_solver_does(steps: list[tuple[int, int]]) -> None:
-    times = 3e-4 * (np.cumsum([step for step, _ in steps]) - steps[0][0])
-    places = 1e-3 * np.array([place for _, place in steps])
-    motion = RecordedMotion.model_construct(type="recorded", file=Path("hand.csv"))
-    motion._rows = tuple(zip(times.tolist(), places.tolist(), strict=True))
-    user = UserParameters.model_construct(stiffness=200.0, damping=4.0, motion=motion)
-    plant, holds = Plant(MASS, user, [], T_NS), int(1e3 * times[-1]) + 20
-    positions = plant.run(np.zeros(holds))
-    state, begin, found = np.zeros(2), 0.0, np.zeros(2)
-    for end in [*times[1:].tolist(), holds * 1e-3]:
-        place, speed = motion.position(begin), (motion.position(end) - motion.position(begin)) / (end - begin)
-        if begin >= times[-1]:
-            place, speed = places[-1], 0.0
-
-        def rates(t: float, y: np.ndarray, at: float = place, v: float = speed, since: float = begin) -> list[float]:
-            force = 200.0 * (at + v * (t - since) - y[0]) + 4.0 * (v - y[1]) - 0.3 * y[1]
-            return [y[1], force / 0.2]
-
-        found = solve_ivp(rates, (begin, end), state, "DOP853", rtol=1e-10, atol=1e-13).y[:, -1]
-        state, begin = found, end
-    assert positions[-1] == pytest.approx(found[0], abs=1e-8)  # times are rounded to T / 2^24
 
 
 def test_a_finely_recorded_sinusoid_moves_the_plant_as_the_sinusoid_itself(tmp_path: Path) -> None:

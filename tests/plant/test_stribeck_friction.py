@@ -5,14 +5,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.judge.solvers import reference
 from canhaptic.sim.plant.plant import Plant
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
-from tests.drawn import examples
 from tests.plant.plant_scenes import MS, largest_flow, make_plant, residual, run
 from tests.plant.read_effect import read_effect
 
@@ -46,40 +43,6 @@ def test_stick_slip_converges_with_the_declared_order():
     assert abs(fitted - (read_effect(STRIBECK).order or 0)) < 0.1, errors
     assert errors[0] < 1e-4
     assert errors[-1] < 5e-9
-
-
-def rounded(low: float, high: float) -> st.SearchStrategy[float]:
-    return st.floats(low, high).map(lambda value: round(value, 9))
-
-
-forces = st.lists(rounded(-1.5, 1.5), min_size=1, max_size=20)
-
-
-@pytest.mark.slow
-@settings(max_examples=examples(60))
-@given(forces, st.sampled_from([1, 2, 16]), rounded(-0.05, 0.05), st.booleans(), rounded(0.0, 0.4))
-def test_at_rest_no_force_exceeds_the_static_level(torques, substeps, velocity, held, detent):
-    """v = 0 implies |force| <= static at every SYNC, with a hand, a current loop and a detent that push."""
-    user = (
-        UserParameters(stiffness=300, damping=2, motion=SinusoidMotion(amplitude=0.01, frequency=3)) if held else None
-    )
-    loop = {"type": "current_loop", "time_constant": 3e-3}
-    cogging = {"type": "cogging", "amplitude": detent, "pitch": 3e-3}
-    plant = make_plant(
-        STRIBECK, loop, cogging, user=user, period=5 * MS, initial_velocity=velocity, accuracy={"substeps": substeps}
-    )
-    run(plant, [])
-    for torque in torques:
-        plant.advance_to(plant._next_period, torque)
-        if plant.velocity == 0.0:
-            force = plant.motor_torque - detent * math.sin(2 * math.pi * plant.position / 3e-3)
-            if user is not None and user.motion is not None:
-                state = dict(zip(plant.scene.names, plant._machine.state.tolist(), strict=True))
-                omega = 2 * math.pi * user.motion.frequency
-                force += user.stiffness * (0.01 * state["motion_sine"] - plant.position)
-                force += user.damping * 0.01 * omega * state["motion_cosine"]
-            assert abs(force) <= STATIC * (1 + 1e-9)
-    assert residual(plant) <= 1e-11 * largest_flow(plant)
 
 
 @pytest.mark.parametrize("substeps", [1, 16])

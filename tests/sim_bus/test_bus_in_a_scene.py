@@ -1,8 +1,6 @@
 """`simulation: {bus: ...}` in a scene: read, refused, described, and absent where it is not named."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -10,7 +8,6 @@ import pytest
 from canhaptic.cli.main import main
 from canhaptic.errors import ParameterError, SceneError
 from canhaptic.scene.build import build
-from canhaptic.scene.json_schema import scene_schema
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.method import method_line
 from canhaptic.sim.bus.faulty_bus import BusEffects, Schedule, Window
@@ -18,7 +15,6 @@ from canhaptic.sim.bus.virtual_bus import LeanVirtualBus
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DEMO = REPOSITORY / "configs" / "demo.yaml"
-OF_EVERY_RUN = ("__init__", "virtual_bus")
 
 
 def demo_with(folder: Path, bus: str) -> Path:
@@ -90,33 +86,6 @@ def test_the_configuration_in_effect_names_the_bus_only_where_it_has_effects() -
     assert ideal.config_hash() != faulty.config_hash()
     assert "bus with drop" in method_line(faulty)
     assert "bus with" not in method_line(ideal)
-
-
-@pytest.mark.slow
-def test_the_schema_knows_the_bus() -> None:
-    schema = scene_schema()
-    [simulation, _null] = schema["properties"]["simulation"]["anyOf"]
-    [bus, _line, _null] = simulation["properties"]["bus"]["anyOf"]
-    assert set(bus["properties"]) == set(BusEffects.model_fields)
-    assert bus["properties"]["delay"]["unit"] == "s"
-    assert "#/$defs/Window" in json.dumps(bus)
-    assert "Window" in schema["$defs"]
-
-
-@pytest.mark.slow
-def test_an_ideal_bus_imports_nothing_of_this_and_runs_no_line_of_it() -> None:
-    program = (
-        "import sys\n"
-        "from canhaptic.cli.main import main\n"
-        "assert main(['run', sys.argv[1], '--duration', '0.02', '--json']) == 0\n"
-        "print('|', sorted(m.rpartition('.')[2] for m in sys.modules if m.startswith('canhaptic.sim.')))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program, str(DEMO)], capture_output=True, text=True, check=True)
-    imported = done.stdout.rpartition("|")[2]
-    assert "drive_node" in imported
-    of_faults = {path.stem for path in (REPOSITORY / "canhaptic" / "sim" / "bus").glob("*.py")} - {*OF_EVERY_RUN}
-    assert of_faults == {"faulty_bus"}
-    assert not [name for name in of_faults if f"'{name}'" in imported]
 
 
 def test_an_ideal_scene_is_built_with_a_bare_connection() -> None:

@@ -11,7 +11,7 @@ import threading
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import can
 import pytest
@@ -133,10 +133,10 @@ def assert_ledger_bound_kept(outcome: Outcome) -> None:
 @pytest.mark.parametrize("drop", [0.0, 0.01, 0.1])
 @pytest.mark.parametrize("passivity", [GUARDED, PAPER], ids=["guarded", "internal_dissipation"])
 def test_lost_frames_are_counted_to_the_frame_and_the_ledger_bound_is_kept(passivity: str, drop: float) -> None:
-    within = "during: [{begin: 0.1 s, duration: 1.3 s}]"
-    seen = disturbed(f"simulation.bus={{drop: {drop}, delay: 1 us, {within}}}", passivity)
+    within = "during: [{begin: 0.1 s, duration: 0.8 s}]"
+    seen = disturbed(f"simulation.bus={{drop: {drop}, delay: 1 us, {within}}}", passivity, cycles=1000)
     assert seen.error is None
-    assert seen.cycles in (1500, 1503)
+    assert seen.cycles in (1000, 1003)
     lost = {direction: sum(n for (_, to, _), n in seen.struck.items() if to == direction) for direction in DIRECTIONS}
     on_the_bus = Counter(is_from_drive(message) for message in seen.heard)
     assert seen.link["sent"] == on_the_bus[False] + lost["to_drive"]
@@ -174,7 +174,7 @@ DISTURBANCES = [
 @pytest.mark.parametrize("bus", DISTURBANCES)
 @pytest.mark.parametrize("passivity", [GUARDED, PAPER], ids=["guarded", "internal_dissipation"])
 def test_in_every_disturbance_the_ledger_never_believes_too_much(passivity: str, bus: str) -> None:
-    seen = disturbed(f"simulation.bus={{{bus}}}", passivity, QUICK)
+    seen = disturbed(f"simulation.bus={{{bus}}}", passivity, QUICK, cycles=1000)
     assert seen.error is None or "duplicate" in bus
     assert isinstance(seen.error, TpdoContradictedError | None)  # a repeated TPDO that answers the next SYNC as well
     assert_ledger_bound_kept(seen)
@@ -249,18 +249,6 @@ def test_wrong_bits_never_end_in_an_unknown_error_or_in_torque_beyond_the_limit(
 
 
 @pytest.mark.slow
-def test_two_runs_of_one_seed_are_the_same_to_the_byte(tmp_path: Path) -> None:
-    bus = "drop: 0.05, jitter: 300 us, duplicate: 0.1, reorder: 0.05, foreign_rate: 200, wire_time: true"
-    logs = []
-    for n, seed in enumerate((1, 1, 2)):
-        overrides = [f"simulation.bus={{{bus}, {AFTER_THE_START}}}", f"simulation.seed={seed}", QUICK, PATIENT]
-        with build(load_scene(DEMO, overrides), "free", bus_log=tmp_path / f"{n}.log") as experiment:
-            run(experiment.cycle, 300)
-        logs.append((tmp_path / f"{n}.log").read_bytes())
-    assert logs[0] == logs[1] != logs[2]
-
-
-@pytest.mark.slow
 def test_an_effect_that_does_nothing_leaves_every_frame_at_its_instant(tmp_path: Path) -> None:
     """The wrapper itself adds nothing: not a nanosecond, not a frame."""
     logs = []
@@ -272,16 +260,6 @@ def test_an_effect_that_does_nothing_leaves_every_frame_at_its_instant(tmp_path:
 
 
 # --- real time ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_at_real_pace_frames_are_late_by_the_delay_asked_for() -> None:
-    overrides = ["simulation.bus={delay: 2 ms}", "bus.rate=10 Hz", *IN_AND_OUT]
-    with build(load_scene(DEMO, overrides), "real") as experiment:
-        run(experiment.cycle, 10)
-        summary: Any = experiment.cycle.timing["sync_to_last_tpdo"].summary()
-        assert experiment.rig.link_statistics()["success_rate"] > 0.0  # a busy machine may miss a window
-        assert summary["p50"] >= 4e-3  # there and back
 
 
 def test_a_drive_on_its_own_hears_and_answers_through_its_faulty_bus() -> None:

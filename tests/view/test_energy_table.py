@@ -117,22 +117,6 @@ def test_a_port_that_gave_energy_away_is_marked() -> None:
 
 
 @pytest.mark.parametrize(
-    ("least", "uncertainty", "verdict"),
-    [
-        (0.0, 0.0, "yes"),
-        (-0.9e-6, 0.0, "yes"),  # below the tolerance, which is for rounding and encoder
-        (-1.1e-6, 0.0, "NO"),
-        (-1e-3, 1e-3, "in doubt"),
-        (-1e-3, 0.99e-3, "NO"),
-    ],
-)
-def test_a_port_is_passive_in_doubt_or_not(least: float, uncertainty: float, verdict: str) -> None:
-    content = result(["handle"])
-    content["ports"]["handle"] |= {"least_interaction": least, "uncertainty": uncertainty, "certificate": "none"}
-    assert row_of(content, "passive at the motor") == verdict
-
-
-@pytest.mark.parametrize(
     ("label", "changed", "shown"),
     [
         (

@@ -45,12 +45,3 @@ def test_two_handles_keep_together_and_passive_while_frames_are_lost(max_consecu
     assert lost > 0.01
     assert least >= -1e-6
     assert apart < rms
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(600)
-@pytest.mark.parametrize("max_consecutive_losses", [0, 1, 2, 4])
-def test_two_handles_have_not_drifted_after_a_minute(max_consecutive_losses):
-    least, apart, *_ = coupled_run(60.0, 0.01, 2, max_consecutive_losses=max_consecutive_losses)
-    assert least >= -1e-6
-    assert apart < 1e-4

@@ -179,7 +179,7 @@ def test_a_group_is_certified_for_late_torques_and_books_the_middle_of_what_they
         made.append(of(build_group_controller(pair(1e4, 0.0)[1], Identity(axes=1), "guarded", parameters, [loop])))
         return made[-1]
 
-    how: dict[str, Any] = {"pull": 5.0, "push": 30.0, "lag": 3e-4, "steps": 60}
+    how: dict[str, Any] = {"pull": 5.0, "push": 30.0, "lag": 3e-4, "steps": 30}
     assert climb(make, random.Random(1), 1e-3, delay, **how)[1] <= 1e-9
     assert max(one.group.energy_resolution for one in made) > 1e-6
     named = {certificate for one in made for certificate in one.certificates}
