@@ -16,12 +16,10 @@ from pathlib import Path
 from time import thread_time
 from typing import Final
 
-import h5py
 import numpy as np
 
-from canhaptic.audit.two_logs import joined
 from canhaptic.cycle import running
-from canhaptic.far.packet import READY, pack, unpack
+from canhaptic.far.packet import READY
 from canhaptic.far.session import Session
 from canhaptic.far.udp import UdpLink
 from canhaptic.logs.energy_reader import EnergyLog
@@ -108,34 +106,6 @@ def over_buses(wanted: int, minutes: float, jobs: int) -> list[Row]:
     ]
 
 
-def two_logs(round_trip: float) -> list[Row]:
-    """Returns the least sum that two logs allow at a round trip [ms], and with 100 mJ taken out of one of them."""
-    way = f"{{delay: {0.5 * round_trip} ms, jitter: {0.05 * round_trip} ms, loss: 10 %, burst: 3}}"
-    model = ["far.coupling={type: model, stiffness: 1 kN/m, damping: 8 N*s/m}", "far.silence=2 s"]
-    with tempfile.TemporaryDirectory() as folder:
-        paths = Path(folder) / "a.h5", Path(folder) / "b.h5"
-        scenes = load_scene(_HAND, [f"simulation.far_network={way}", *model]), load_scene(_WALL, ["far.silence=2 s"])
-        Pair(scenes, paths).run_through(4.0, lambda: False)
-        found = [_least_of(*paths)]
-        with h5py.File(paths[1], "r+") as file:
-            energy = file["ports/handle/h_i"][:]
-            energy[3000] -= 0.1
-            file["ports/handle/h_i"][:] = energy
-        found.append(_least_of(*paths))
-    (least, known, holds), (lacking, _, hides) = found
-    name = f"two logs, {round_trip:g} ms"
-    return [
-        Row(f"{name}: least sum", least, "J", target=">= 0, within what is known", met=holds and least >= -known),
-        Row(f"{name}: least sum where one lacks 100 mJ", lacking, "J", target="fails", met=not hides),
-    ]
-
-
-def _least_of(first: Path, second: Path) -> tuple[float, float, bool]:
-    with EnergyLog.open(first) as log, EnergyLog.open(second) as other:
-        found = joined(log, other)
-    return found["least"], found["resolution"], found["holds"] and found["agrees"]
-
-
 def felt(round_trip: float) -> Row:
     """Returns what the hand feels of a wall behind the spring at a round trip [ms]."""
     changes = [
@@ -205,20 +175,6 @@ def first_touch(round_trip: float, asked: float, seeds: int = 10) -> list[Row]:
     ]  # fmt: skip
 
 
-def mutated(packets: int) -> Row:
-    """Returns how many packets of a session that were changed in up to 4 bits its other side takes."""
-    draw, taken, key = np.random.default_rng(3), 0, bytes(range(32))
-    for first in range(0, packets, 1000):
-        data = pack((1, first, 77, first, first, first, 0.01, 0.1, 0, 0.0, 0.0), key)
-        places, bits = draw.integers(0, len(data), (1000, 4)), 1 << draw.integers(0, 8, (1000, 4))
-        for at, turned in zip(places.tolist(), bits.tolist(), strict=True):
-            changed = bytearray(data)
-            for place, bit in zip(at, turned, strict=True):
-                changed[place] ^= bit
-            taken += bytes(changed) != data and unpack(bytes(changed), key) is not None
-    return Row(f"{packets} mutated packets: taken", taken, "1", target="0", met=not taken)
-
-
 def flood() -> Row:
     """Returns by how much 100 packets a SYNC from the peer's address, of the session and badly tagged, lengthen one."""
     places = ("127.0.0.1", 47813), ("127.0.0.1", 47814)
@@ -283,11 +239,10 @@ def main() -> None:
     asked = parser.parse_args()
     kinds: dict[str, Callable[[], list[Row]]] = {
         "networks": lambda: networks(asked.networks, asked.minutes, asked.jobs),
-        "packet": lambda: [packet_cost(), flood(), mutated(10**6)],
+        "packet": lambda: [packet_cost(), flood()],
         "spring": lambda: [felt(0.0), felt(10.0)],
         "model": lambda: [row for cell in CELLS for row in by_model(*cell)],
         "touch": lambda: [*first_touch(40.0, 900.0), *first_touch(100.0, 350.0)],
-        "logs": lambda: [row for trip in (0.0, 40.0, 300.0) for row in two_logs(trip)],
         "pairs": lambda: over_buses(asked.pairs, asked.minutes, asked.jobs),
         "mutants": mutants,
         "worlds": lambda: rows_of_worlds(asked.worlds, asked.minutes, asked.jobs),
