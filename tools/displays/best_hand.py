@@ -13,7 +13,6 @@ long as the largest acceleration of the handle is declared as it is.
 
 import math
 from dataclasses import dataclass, replace
-from random import Random
 from typing import Any, Final
 
 import numpy as np
@@ -126,15 +125,6 @@ def with_true_acceleration(rig: AttackedRig, forces: Array) -> Taken | None:
             return found
         rig = replace(rig, acceleration=1.02 * found.acceleration)
     return None
-
-
-def random_attacked_rig(seed: int, share: float) -> AttackedRig:
-    """Returns the rig of a seed, of which a share of its mass is declared."""
-    random = Random(seed)
-    return AttackedRig(
-        time=random.choice([1e-3, 2e-3, 4e-3]), delay=random.choice([0, 1, 2, 3]), mass=random.uniform(0.5, 3.0),
-        bandwidth=random.choice([5.0, 25.0, 50.0, 100.0]), share=share,
-    )  # fmt: skip
 
 
 def attacked(mutant: AttackedRig, lengths: tuple[int, ...] = (20, 60)) -> tuple[float, float] | None:
