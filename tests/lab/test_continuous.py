@@ -1,22 +1,17 @@
-"""The continuous environments of `canhaptic.lab` against scipy, and against one another."""
+"""The continuous environments of `canhaptic.lab` against scipy; against one another: `test_batch_beside_continuous`."""
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from canhaptic.control.environments.coulomb_surface import CoulombSurface
-from canhaptic.control.environments.damper_wall import DamperWall
 from canhaptic.control.environments.detents import Detents
 from canhaptic.control.environments.free_space import FreeSpace
 from canhaptic.control.environments.hardening_wall import HardeningWall
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
-from canhaptic.control.environments.two_sided_wall import TwoSidedWall
 from canhaptic.control.environments.viscoelastic_medium import ViscoelasticMedium
-from canhaptic.control.environments.viscous_medium import ViscousMedium
 from canhaptic.errors import InputError
 from canhaptic.lab.batch.scalar import continuous_reference
-from canhaptic.lab.judge.reference_model import Model
-from canhaptic.lab.reference import continuous_run
 from canhaptic.sim.plant.effects.coulomb_friction import CoulombFriction
 from canhaptic.sim.plant.effects.viscous_friction import ViscousFriction
 from canhaptic.sim.plant.plant import Plant, PlantParameters
@@ -42,25 +37,6 @@ def test_the_wall_is_that_of_an_independent_dop853(stiffness, damping, surface):
     times = np.arange(1500) * 1e-3
     position, _ = continuous(USER_S, stiffness, damping, surface, times)
     assert np.abs(found.position - position).max() < 2e-9
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "environment",
-    [
-        SpringDamperWall(stiffness=2000.0, damping=4.0, position=0.005, side="above"),
-        HardeningWall(stiffness=2000.0, hardening=0.0, damping=4.0, position=0.005),
-        TwoSidedWall(stiffness=3e4, damping=20.0, lower=-0.01, upper=0.004),
-        DamperWall(damping=30.0, position=0.001),
-        ViscousMedium(damping=8.0),
-        FreeSpace(),
-    ],
-    ids=lambda environment: type(environment).__name__,
-)
-def test_the_closed_form_and_dop853_agree(environment):
-    times = (np.arange(1000) * 1e-3).tolist()
-    position = continuous_run(environment, Model(PLANT, USER, []), times, 1e-10).position
-    assert np.abs(reference(environment, 1000).position - position).max() < 2e-9
 
 
 @pytest.mark.slow

@@ -9,8 +9,7 @@ from canhaptic.control.environments import ENVIRONMENTS
 from canhaptic.lab.batch.cases import continuous_modes, why_not_continuous
 from canhaptic.lab.batch.continuous_run import ReferenceState, begin_reference, follow_hold
 from canhaptic.lab.batch.marching import march, reference_memory_of, run_batch
-from canhaptic.lab.batch.scalar import continuous_reference, render, run_scalar
-from canhaptic.lab.batch.varied import scene_with
+from canhaptic.lab.batch.scalar import continuous_reference, render
 from canhaptic.lab.figures.figures import ALL, CONTINUOUS, METRICS, figures
 from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.loop.axis_loop import environment_of, loop_case, plant_parts
@@ -19,7 +18,7 @@ from canhaptic.registry import load
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.lab.batch.loops import PLANT, in_arrays, scalar_case
-from tests.lab.batch.test_scenes import demo, many
+from tests.lab.batch.test_scenes import demo
 from tools.bench.standard_cases import loop_in_arrays, standard_case
 
 USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))
@@ -123,17 +122,6 @@ def test_a_graze_inside_of_one_hold_is_met():
     # in contact for half a period of the spring, then back with the speed it came with
     left = 5e-3 + np.pi * np.sqrt(0.1 / 1e5)
     np.testing.assert_allclose(position[:, 0], [0.02 - left, 0.04 - left], rtol=1e-7)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("algorithm", ["unprotected", pytest.param("guarded", marks=pytest.mark.slow)])
-def test_every_metric_of_a_batch_is_that_of_one_scene_beside_its_reference(algorithm):
-    scene, varied = demo(algorithm), many(2)
-    found = run_batch(scene, varied, 400, engine="python", metrics=list(ALL))
-    for i in range(2):
-        one = run_scalar(scene_with(scene, {key: float(v[i]) for key, v in varied.items()}), 400, list(ALL))
-        for name in ALL:
-            assert found[name][i] == pytest.approx(one[name], rel=1e-6, abs=1e-10, nan_ok=True), (i, name)
 
 
 @pytest.mark.slow
