@@ -49,6 +49,10 @@ FORBIDDEN = (
     ast.Yield, ast.Import, ast.ImportFrom, ast.Global, ast.Nonlocal, ast.ClassDef, ast.Pow, ast.Starred, ast.JoinedStr,
 )  # fmt: skip
 METHODS = ("contact", "true_state", "admissible", "stored_energy", "effort", "state_of_energy", "relaxed")
+METHODS_OF_GROUPS: list[Any] = [
+    *(mechanism.locate for mechanism in (IdentityMap, LinearMap, LinkMap, FiveBarMap)),
+    *(geometry.measure for geometry in (LinearGeometry, Round, AroundLine, FromPath, BoxInside)),
+]
 
 
 def reached(function: Any, known: set[Any]) -> Iterator[Any]:
@@ -113,14 +117,7 @@ def test_no_field_of_a_record_has_the_name_of_a_method_which_compiled_code_would
             assert [(kind, of) for kind in kinds for of in getattr(kind, "_fields", ()) if of in COMPILED] == []
 
 
-@pytest.mark.parametrize(
-    "method",
-    [
-        *(mechanism.locate for mechanism in (IdentityMap, LinearMap, LinkMap, FiveBarMap)),
-        *(geometry.measure for geometry in (LinearGeometry, Round, AroundLine, FromPath, BoxInside)),
-    ],
-    ids=lambda method: method.__qualname__,
-)
+@pytest.mark.parametrize("method", METHODS_OF_GROUPS, ids=lambda method: method.__qualname__)
 def test_a_mechanism_and_a_geometry_keep_to_the_form_of_kernels(method: Any) -> None:
     assert all_faults(method) == []
 
@@ -157,9 +154,7 @@ def with_transcendental_functions() -> set[str]:
     """Returns the kernels of controllers that call a function of the C library whose last bit is its own."""
     kernels = [load(table, name, "algorithm").kernel.step for table in (ALGORITHMS, GROUP_ALGORITHMS) for name in table]
     worlds = [load(ENVIRONMENTS, name, "environment") for name in ENVIRONMENTS]
-    parts = [getattr(world, method) for world in worlds for method in METHODS]
-    parts += [mechanism.locate for mechanism in (IdentityMap, LinearMap, LinkMap, FiveBarMap)]
-    parts += [geometry.measure for geometry in (LinearGeometry, Round, AroundLine, FromPath, BoxInside)]
+    parts = [*METHODS_OF_GROUPS, *(getattr(world, method) for world in worlds for method in METHODS)]
     every = [part for kernel in (*kernels, *parts) for part in reached(kernel, set())] + parts_of_groups()
     names = {"sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "expm1", "log", "tanh", "pow", "hypot"}
     return {part.__qualname__ for part in every if names.intersection(part.__code__.co_names)}

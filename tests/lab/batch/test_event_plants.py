@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from canhaptic.errors import EventLimitError
-from canhaptic.lab.batch.cases import batch_case, run_loops_of
+from canhaptic.lab.batch.cases import batch_case
 from canhaptic.lab.batch.marching import march, run_batch
+from canhaptic.lab.batch.plants import EventModes
 from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.batch.varied import scene_with
 from canhaptic.lab.figures.figures import METRICS
 from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.load import load_scene
+from canhaptic.sim.plant.stepper import EVENTS
 
 CYCLES = 450
 MOVING = ("environment.position=0.005", "simulation.user.motion.frequency=3")
@@ -62,44 +64,22 @@ def test_a_batch_gives_the_figures_of_one_scene_at_a_time(plant):
             assert one["contact"] > 0.1
 
 
-class _Watched:
-    """Loops that are watched for their plants."""
-
-    def __init__(self, loops):
-        self._loops, self.events = loops, []
-
-    def run(self, some, plants, stopped):
-        for one in some:
-            self._loops.run([one], plants, stopped)
-            self.events.append(plants.plants[0].counts[1])
-
-    def __getattr__(self, name):
-        return getattr(self._loops, name)
-
-
 @pytest.mark.slow
 def test_a_loop_has_the_events_of_the_plant(monkeypatch):
-    watched = []
+    made, motor = [], EventModes.motor
 
-    def run(case, loops, count, *, listed):
-        watched.append(_Watched(loops))
-        return run_loops_of(case, watched[-1], count, listed=listed)
+    def watched(modes):
+        made.append(motor(modes))
+        return made[-1]
 
-    monkeypatch.setattr("canhaptic.lab.batch.cases.run_loops_of", run)
+    monkeypatch.setattr(EventModes, "motor", watched)
     for name in ("stop and friction", "backlash", "two grasps and a stop", "Stribeck and stop"):
         scene = demo(PLANTS[name], algorithm="unprotected")
-        case = batch_case(scene, {})
-        march(case, 1, CYCLES, "python", ["torque_peak"])
+        march(batch_case(scene, {}), 1, CYCLES, "python", ["torque_peak"])
         plant = build_plant(scene.axes[0].simulation, scene.bus.sample_time_ns)
-        run_scalar_with(plant, scene, monkeypatch)
-        assert watched[-1].events == [plant.events], name
-        assert plant.events > 3
-
-
-def run_scalar_with(plant, scene, monkeypatch):
-    with monkeypatch.context() as patched:
-        patched.setattr("canhaptic.lab.loop.axis_loop.build_plant", lambda *_: plant)
+        monkeypatch.setattr("canhaptic.lab.loop.axis_loop.build_plant", lambda *_, plant=plant: plant)
         run_scalar(scene, CYCLES)
+        assert made[-1].plants[0].counts[EVENTS] == plant.events > 3, name
 
 
 @pytest.mark.parametrize("engine", ["python", pytest.param("numba", marks=pytest.mark.slow)])
