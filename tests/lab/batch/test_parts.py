@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from canhaptic.lab.batch.plants import linear_motion
+from canhaptic.lab.batch.varied import simulation_with
 from canhaptic.scene.components import ComponentSpec
+from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.sim.drive import SimulatedDriveParameters
-from canhaptic.sim.plant.plant import Plant, PlantParameters
+from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.plant.read_effect import read_effect
 
@@ -41,13 +43,8 @@ def test_flows_in_arrays_are_those_of_plants_made_one_by_one(effects):
     base = simulation(effects, stiffness=1.0, motion=SinusoidMotion(amplitude=0.01, frequency=1.0))
     motion = linear_motion(base, period, varied)
     for i in range(n):
-        of_plant, of_user, of_motion = {}, {}, {}
-        for key, values in varied.items():
-            name = key.split(".")[-1]
-            owner = of_motion if ".motion." in key else of_user if ".user." in key else of_plant
-            owner[name] = float(values[i])
-        user = UserParameters(**of_user, motion=SinusoidMotion(**of_motion))
-        plant = Plant(PlantParameters(**of_plant), user, [e.parameters for e in base.effects], int(period[i]))
+        one = simulation_with(base, {key: float(values[i]) for key, values in varied.items()})
+        plant = build_plant(one, int(period[i]))
         flow, start = plant.whole_flow(), plant.scene.initial_state()
         assert motion.starts[i] == pytest.approx(start, abs=1e-15)
         for row in range(len(flow) - 2):
