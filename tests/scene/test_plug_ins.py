@@ -31,6 +31,9 @@ def show(path):
     print("shown:", path.name)
 """
 ENTRIES = """
+[canhaptic.algorithms]
+guarded = absent_for_tests:Mine
+energy_tank = absent_for_tests:Mine
 [canhaptic.sensors]
 creeping = things_for_tests:creeping
 gone = things_for_tests:Absent
@@ -55,6 +58,12 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.syspath_prepend(str(about.parent))
     yield about.parent
     sys.modules.pop("things_for_tests", None)
+
+
+@pytest.mark.parametrize("algorithm", ["guarded", "energy_tank"])
+def test_no_package_takes_the_place_of_a_shipped_algorithm(algorithm: str) -> None:
+    scene = load_any("demo", {"passivity": {"algorithm": algorithm}}, allow_code=False)
+    assert (scene.axes[0].passivity.name, scene.axes[0].is_own, dict(scene.own_code)) == (algorithm, False, {})
 
 
 def forces(sensor: object) -> list[float]:
