@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 from warnings import catch_warnings
 
 from canhaptic.cli.options import read
@@ -25,11 +25,6 @@ from canhaptic.simulation import load_any
 if TYPE_CHECKING:
     from canhaptic.lab.studies.vary import Column
 
-_SWEEP_OPTIONS: Final = {
-    "controllers": "names", "metrics": "names", "duration": "seconds",
-    "cycles": "int", "engine": "word", "chunk": "int", "beyond_bus": "word", "resume": "word", "force": "word",
-}  # fmt: skip
-"""Option of a sweep -> reader of its text."""
 _SceneLike = str | PathLike[str] | Mapping[str, object] | Scene
 _Changes = Mapping[str, object]
 _Plain = Mapping[str, Any]
@@ -137,6 +132,7 @@ def sweep(
         >>> canhaptic.sweep("demo", {"environment.damping": [0, 5, 10]}, duration=2.0)  # doctest: +SKIP
     """
     from canhaptic.lab.studies.store import SweepTable
+    from canhaptic.lab.studies.sweep import OPTIONS
     from canhaptic.lab.studies.sweep import sweep as run_sweep
     from canhaptic.lab.studies.vary import listed
 
@@ -145,9 +141,9 @@ def sweep(
         varied: list[Any] = [listed(key, values) for key, values in vary.items()]
     else:
         varied = [vary] if isinstance(vary, str) else list(vary)
-    if unknown := options.keys() - _SWEEP_OPTIONS.keys():
-        raise InputError(f"sweep: got {min(unknown)}, expected options among {', '.join(_SWEEP_OPTIONS)}")
-    options = {name: read(_SWEEP_OPTIONS[name], value, name) for name, value in options.items()}
+    if unknown := options.keys() - OPTIONS.keys():
+        raise InputError(f"sweep: got {min(unknown)}, expected options among {', '.join(OPTIONS)}")
+    options = {name: read(OPTIONS[name], value, name) for name, value in options.items()}
     if own := [one for one in options.get("controllers") or () if not isinstance(one, str)]:
         raise InputError(f"controllers: got {own[0]!r}, expected names; give it as changes={{'passivity': ...}}")
     with TemporaryDirectory(prefix="canhaptic-sweep-") as folder:

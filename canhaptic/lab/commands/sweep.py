@@ -26,17 +26,11 @@ from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.chunk import COMPLETED, RADIUS, STATUS, UNRENDERED, UNTOUCHED
 from canhaptic.lab.studies.runner import Progress, dask_executor, pool_of
 from canhaptic.lab.studies.store import SweepTable
-from canhaptic.lab.studies.sweep import sweep
+from canhaptic.lab.studies.sweep import OPTIONS, sweep
 from canhaptic.lab.studies.vary import CONTROLLER
 from canhaptic.quantities import FIGURES, SUMMARY
 from canhaptic.view.table import Table
 from canhaptic.view.terminal import note_file, write_note
-
-_OPTIONS: Final = (
-    "resume", "force", "controllers", "duration", "cycles", "metrics", "engine", "chunk", "beyond_bus",
-    "allow_code",
-)  # fmt: skip
-"""Command-line arguments with the same name as an option of a sweep."""
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -54,7 +48,7 @@ def execute(arguments: argparse.Namespace) -> int:
         stop = stack.enter_context(StopSignal(insists=True))
         executor, in_flight = _executor(arguments, stack)
         progress = stack.enter_context(scene_progress())
-        given = {name: getattr(arguments, name) for name in _OPTIONS}
+        given = {name: getattr(arguments, name) for name in (*OPTIONS, "allow_code")}
         state = sweep(
             scene, arguments.vary, out, executor, in_flight=in_flight,
             processes=arguments.workers is None, progress=progress, note=lambda text: write_note(f"  {text}"),

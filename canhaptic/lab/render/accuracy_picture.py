@@ -37,13 +37,13 @@ _PRICES: Final = {
     _WORK: "evaluations of the equations of motion per period",
 }
 _COLOURS: Final[dict[str, str]] = {
-    **dict.fromkeys(("as it is", "the scene"), "#000000"),
-    **dict.fromkeys(("sample rate", "rate"), BLUE),
+    "as it is": "#000000",
+    "sample rate": BLUE,
     "RPDO": VERMILION,
     "algorithm": GREEN,
     **dict.fromkeys(("velocity", "sampling"), ORANGE),
     **dict.fromkeys(("torque step", "sensor"), PURPLE),
-    **dict.fromkeys(("encoder count", "encoder"), SKY),
+    "encoder count": SKY,
     "effect": PALE,
 }
 """Kind of a changed setting, of the loop of an axis or of an admittance display -> its colour."""

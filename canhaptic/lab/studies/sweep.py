@@ -56,6 +56,11 @@ from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.method import plant_errors
 from canhaptic.scene.models import Scene
 
+OPTIONS: Final = {
+    "controllers": "names", "metrics": "names", "duration": "seconds",
+    "cycles": "int", "engine": "word", "chunk": "int", "beyond_bus": "word", "resume": "word", "force": "word",
+}  # fmt: skip
+"""Option of a sweep, of the command as in Python -> reader of its text."""
 _BATCH_CHUNK: Final = (1000, 5000)
 """Default range of the scenes in a chunk: with fewer, making the batch costs more than running it."""
 _SCALAR_CHUNK: Final = (1, 50)

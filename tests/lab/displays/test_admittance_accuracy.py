@@ -40,13 +40,13 @@ def test_the_loop_is_near_the_ideal_display_and_a_coarser_one_is_further_off(
     words = ["accuracy", str(NODE), "--duration", "0.3", "--json", "--set", "passivity={algorithm: unprotected}"]
     assert main([*words, "--set", "simulation.admittance.sensor.noise=0 N"]) == 0
     found = json.loads(capsys.readouterr().out)
-    rates = {row["setting"]: row["position_error"] for row in found["loop"] if row["group"] == "rate"}
+    rates = {row["setting"]: row["position_error"] for row in found["loop"] if row["group"] == "sample rate"}
     scene = next(row["position_error"] for row in found["loop"] if row["is_scene"])
     assert scene < rates["500 Hz"]
     assert max(rates.values()) < 0.05 * found["reference"]["travel"]
     assert found["reference"]["apart"] < 0.5 * min(scene, *rates.values())
     assert found["plant"][0]["position_error"] < 1e-12
-    assert {"algorithm", "sampling", "sensor", "encoder"} <= {row["group"] for row in found["loop"]}
+    assert {"algorithm", "sampling", "sensor", "encoder count"} <= {row["group"] for row in found["loop"]}
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from canhaptic.lab.judge.reference_group import DisplayModel
 from canhaptic.lab.judge.solvers import located
 from canhaptic.lab.loop.axis_loop import LoopRun, at_rate, under
 from canhaptic.lab.studies import Row
-from canhaptic.lab.studies.accuracy.loop_sensitivity import Variant, algorithms, largest_apart
+from canhaptic.lab.studies.accuracy.loop_sensitivity import Variant, algorithms, hertz, largest_apart
 from canhaptic.lab.studies.accuracy.studied_port import PortStudy
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, AxisSimulation, Scene
@@ -127,17 +127,17 @@ def _plant_row(scene: Scene, axis: AxisScene, holds: int) -> Row:
 
 def _variants(scene: Scene) -> Iterator[Variant]:
     """Yield the scene and its changes."""
-    yield Variant("the scene", "", scene, is_scene=True)
+    yield Variant("as it is", scene.ports[0].passivity.name, scene, is_scene=True)
     for factor in (0.5, 2.0, 4.0):
         rate = factor / scene.bus.sample_time
-        yield Variant("rate", f"{rate:g} Hz", at_rate(scene, rate))
+        yield Variant("sample rate", hertz(rate), at_rate(scene, rate))
     yield from algorithms(scene)
     for sampling in ("point", "mean"):
         yield Variant("sampling", sampling, _sensed(scene, sampling=sampling))
     exact = _sensed(scene, gain=1.0, offset=0.0, drift=0.0, noise=0.0, quantum=0.0)
     yield Variant("sensor", "without errors", exact)
     finer = replace(scene, axes=tuple(_with(axis, {}, 10.0) for axis in scene.axes))
-    yield Variant("encoder", "10 times finer", finer)
+    yield Variant("encoder count", "10 times finer", finer)
 
 
 def _sensed(scene: Scene, **values: float | str) -> Scene:

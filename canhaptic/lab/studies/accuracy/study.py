@@ -40,7 +40,8 @@ DEFAULT_BUDGET: Final = 4.0
 _ENDS: Final = {"others": 5.0, "own": 7.5, "effects": 8.0, "continuous": 10.0, "loops": 11.0,
                "times": 16.0}  # fmt: skip
 """Time of the processor after which a part of the study ends, with the default budget [s]; a larger one has more."""
-_SHARES: Final = {"references": 0.2, "ladder": 0.25, "loops": 0.25, "times": 0.3}
+_SHARES: Final = {"references": (0.0, 0.2), "ladder": (0.2, 0.25), "loops": (0.45, 0.25), "times": (0.7, 0.3)}
+"""Part of the study -> begin and length of its share of the progress bar."""
 _BEFORE: Final = 0.5
 """Part of the references' share of the progress bar that a single reference may fill."""
 _TENTH: Final = 0.1
@@ -202,9 +203,8 @@ class AccuracyStudy(PortStudy):
         return stop
 
     def _advance(self, part: str, share: float, begin: float = 0.0) -> None:
-        names = list(_SHARES)
-        before = sum(_SHARES[name] for name in names[: names.index(part)])
-        self._reach(before + _SHARES[part] * min(1.0, begin + share))
+        before, length = _SHARES[part]
+        self._reach(before + length * min(1.0, begin + share))
 
     def _time(self) -> None:
         budget = min(self.budget, max(0.25 * self.budget, self._left("times")))  # a loop was compiled for long

@@ -13,7 +13,6 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Final, NamedTuple, cast
 
 import numpy as np
@@ -240,13 +239,12 @@ def design_masses(
     trials, each = [_MassTrial(name, part, tolerance) for name, part in parts_of(scene).items()], sum(_MASSES) + 1
     found = {}
     for number, trial in enumerate(trials):
-        shown = partial(_show, progress, number * each, len(trials) * each)
-        found[trial.name] = _lightest(trial, margin, shown)
+
+        def show(tried: int, before: int = number * each) -> None:
+            progress(before + tried, len(trials) * each)
+
+        found[trial.name] = _lightest(trial, margin, show)
     return {"scene": scene.source, "margin": margin, "tolerance": tolerance, "displays": found}
-
-
-def _show(progress: Progress, before: int, most: int, tried: int) -> None:
-    progress(before + tried, most)
 
 
 class _MassTrial:
