@@ -32,7 +32,7 @@ def show(path):
 """
 ENTRIES = """
 [canhaptic.algorithms]
-guarded = absent_for_tests:Mine
+unprotected = absent_for_tests:Mine
 energy_tank = absent_for_tests:Mine
 [canhaptic.sensors]
 creeping = things_for_tests:creeping
@@ -60,7 +60,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     sys.modules.pop("things_for_tests", None)
 
 
-@pytest.mark.parametrize("algorithm", ["guarded", "energy_tank"])
+@pytest.mark.parametrize("algorithm", ["unprotected", "energy_tank"])
 def test_no_package_takes_the_place_of_a_shipped_algorithm(algorithm: str) -> None:
     scene = load_any("demo", {"passivity": {"algorithm": algorithm}}, allow_code=False)
     assert (scene.axes[0].passivity.name, scene.axes[0].is_own, dict(scene.own_code)) == (algorithm, False, {})
