@@ -443,3 +443,16 @@ def test_an_arm_of_two_displays_renders_a_mass_in_the_plane(capsys: pytest.Captu
     assert main(["compare", str(scene), "--duration", "0.2", "--json"]) == 0
     compared = json.loads(capsys.readouterr().out)["axes"]["handle"]
     assert set(compared) == set(DISPLAY_ALGORITHMS)
+
+
+def test_check_prints_what_a_user_wants_before_the_first_touch(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(SCENE), "--json", "--set", "axes.0.admittance.force.frozen_after=50"]) == 0
+    hints = {hint["what"]: hint["limit"] for hint in json.loads(capsys.readouterr().out)["stability"]}
+    gain, mass, time = 660.0, 2.1, 1e-3
+    assert hints["mass felt at the first move, at least"] == pytest.approx(mass + gain * time)
+    assert hints["lightest mass that is passive without the guard"] == pytest.approx(mass + 1.5 * gain * time)
+    assert hints["speed of the first step from rest"] == pytest.approx((4e-3 / (2.0 * gain * time)) ** 0.5)
+    assert hints["force uncertainty of the account"] == pytest.approx(5e3 * time / 4.0 + 0.05)
+    assert hints["least force that moves it"] == pytest.approx(3.0 * 1e-6 / time)
+    assert hints["energy from a stalled master"] == pytest.approx(0.25 * gain * 0.1)
+    assert hints["energy from a frozen sensor"] == pytest.approx(0.25 * gain * 0.05)

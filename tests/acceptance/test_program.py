@@ -181,6 +181,12 @@ def test_what_does_not_fit_a_program_is_refused_before_anything_is_opened(tmp_pa
         iter(rig)
 
 
+def test_a_dry_run_sends_no_torque_and_proves_nothing(tmp_path: Path) -> None:
+    rig = touched(no_torque=True, bus_log=tmp_path / "b.log")
+    assert rig.account.verdict == "dry run"
+    assert {command.target_torque for command in commands(read_log(tmp_path / "b.log"))} == {0}
+
+
 def raising(error: BaseException) -> Callable[[OpenRig], None]:
     def end(_: OpenRig) -> None:
         raise error

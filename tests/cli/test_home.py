@@ -89,6 +89,15 @@ def test_a_signal_in_the_middle_ends_with_its_status_and_zero_torque(tmp_path, m
     assert "stopped before home was found" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("torque", "got"), [("21", "got 21 N, expected more than 0, at most 20 N"), ("nan", "got nan N")]
+)
+def test_a_torque_beyond_the_limit_is_refused_before_a_frame(tmp_path: Path, torque, got, sent, capsys) -> None:
+    assert main(["commission", "--home", scene(tmp_path), *WORDS, "--torque", torque, "--yes"]) == 2
+    assert f"--torque: {got}" in capsys.readouterr().err
+    assert sent == []
+
+
 @pytest.mark.parametrize("missing", ["--method", "--speed", "--torque"])
 def test_method_speeds_and_torque_must_be_named(missing: str, capsys: pytest.CaptureFixture[str]) -> None:
     words = list(WORDS)

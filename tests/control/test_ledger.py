@@ -106,6 +106,17 @@ def test_the_json_of_a_port_has_the_shared_names_and_no_number_that_json_lacks()
     json.dumps(port, allow_nan=False)
 
 
+@pytest.mark.campaign
+def test_ten_million_holds_of_noise_drift_less_than_a_nanojoule():
+    generator = random.Random(11)
+    ledger, block = Ledger(), [generator.gauss(0.0, 1.0) for _ in range(1000)]
+    holds = [hold(h_i) for h_i in block]
+    for cycle in range(10_000_000):
+        ledger.add(holds[cycle % 1000], cycle)
+    summary = ledger.summary()
+    assert summary.energy_in - summary.energy_out == pytest.approx(1e4 * math.fsum(block), abs=1e-9)
+
+
 @pytest.mark.parametrize(
     ("least", "resolution", "expected"),
     [

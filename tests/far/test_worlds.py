@@ -4,7 +4,9 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from typing import Any, cast
 
+import numpy as np
 import pytest
 
 import canhaptic
@@ -23,6 +25,49 @@ def test_no_random_program_makes_a_rig_give_out_what_did_not_come_and_broken_rul
     assert found["gave"] > 0.1
     for name in ("not taken off", "program gives what it lacks", "totals go on after the session"):
         assert first_false(partial(outcome, length=3.0, mutant=OF_A_WORLD[name]), range(1, 301)), name
+
+
+def met(seed: int) -> tuple[float, float, str]:
+    """Returns the least energy at the motor with S and R, with the program's gifts [J], and the verdict."""
+    random = np.random.default_rng([3, seed])
+    loss, delay = random.choice([0.0, 5.0, 30.0]), random.choice([0.0, 10.0, 50.0])
+    changes = {
+        "simulation.far_network": {"delay": f"{delay} ms", "loss": f"{loss} %", "burst": 3, "double": "5 %"},
+        "simulation.user.motion.frequency": f"{random.uniform(0.4, 2.0):.3g} Hz", "simulation.seed": seed,
+        "far.level": f"{random.uniform(10.0, 60.0):.3g} mJ", "duration": "3 s",
+    }  # fmt: skip
+    given = most = least = 0.0
+    with canhaptic.World("virtual", scene=SCENE, changes=changes, period=float(random.choice([5e-3, 1 / 60]))) as world:
+        for hand in world:
+            x, axis = hand["handle"].position, world["handle"]
+            work = float(random.normal(0.0, 1e-3))
+            cycle = cast("Any", world)._place.experiment.cycle
+            least = min(least, cycle.judge.interaction[0] - cycle.ledgers[0].supplied + most)
+            given, most = given - work, max(most, given - work)
+            axis.absorbed(work)
+            at, speed = x + random.uniform(-0.06, 0.06), random.uniform(-0.3, 0.3)
+            if random.random() < 0.05:
+                axis.wall(at, 2000.0 * random.random(), str(random.choice(["-", "+"])), speed, 20.0 * random.random())
+            elif random.random() < 0.05:
+                axis.spring(at, 2000.0 * random.random(), speed)
+            elif random.random() < 0.02:
+                axis.free()
+            if random.random() < 0.02:
+                world.pause(random.uniform(0.05, 0.5))
+    assert world.result is not None
+    result = world.result
+    return result["truth"]["handle"]["least_interaction"], least, result["ports"]["handle"]["verdict"]
+
+
+@pytest.mark.slow
+def test_random_programs_over_the_bus_are_true_and_a_rig_that_keeps_what_it_sends_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = [met(seed) for seed in range(4)]
+    assert min(min(one[:2]) for one in found) >= FALSE
+    assert {one[2] for one in found} == {"yes"}
+    monkeypatch.setattr("canhaptic.far.port.deduct", lambda _run, _given: None)
+    assert any(least < -1e-4 and verdict == "no" for least, _, verdict in map(met, range(8)))
 
 
 @pytest.mark.slow

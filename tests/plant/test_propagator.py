@@ -63,3 +63,16 @@ def test_the_work_form_equals_van_loans_block_exponential(rates):
     whole = expm(block * sample_time)
     expected = whole[size:, size:].T @ whole[:size, size:]
     assert np.allclose(works[0][0], expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.slow
+def test_the_work_form_agrees_with_sixty_digit_quadrature_of_the_power():
+    rates, sample_time = SCENES[2], 1e-3
+    velocity = np.eye(6)[1]
+    _, works = dyadic_flows(rates, [np.outer(velocity, velocity)], sample_time)
+    start = np.array([1e-3, 0.2, 0.3, 0.9, -2.0, 1.0])
+    with mpmath.workdps(30):
+        matrix, state = mpmath.matrix(rates.tolist()), mpmath.matrix(start.tolist())
+        power = lambda t: (mpmath.expm(matrix * t, method="taylor") * state)[1] ** 2  # noqa: E731
+        expected = float(mpmath.quad(power, mpmath.linspace(0, sample_time, 3), maxdegree=4))
+    assert start @ works[0][0] @ start == pytest.approx(expected, rel=1e-13)

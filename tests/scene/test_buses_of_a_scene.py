@@ -72,6 +72,8 @@ def test_every_axis_has_its_own_account_by_one_sync_index(axes: int, buses: int,
         assert len(rig.buses) == buses
         assert all(isinstance(bus, CanBusCycle) and bus.budget.fits for bus in rig.buses)
         assert {sample.sync_index for sample in rig.records[-1].samples} == {rig.sync_index}
+        assert experiment.far_side is not None
+        assert {drive.state for drive in experiment.far_side.drives} == {DriveState.SWITCH_ON_DISABLED}
         assert cycle.judge is not None
         variations = _torque_variations(experiment)
         for accounted, error, variation in zip(cycle.ledgers, cycle.judge.believed_error, variations, strict=True):
@@ -216,8 +218,11 @@ def test_one_bus_lost_stops_every_axis(lost: str, effect: str) -> None:
         assert list(experiment.faulty_buses) == [lost]
         with pytest.raises(RigError):
             run(experiment.cycle, 1000)
-        experiment.clock.wait_until(experiment.clock.now() + 200_000_000)  # its own watchdog stops what hears nothing
         assert experiment.far_side is not None
+        axes = experiment.scene.axes
+        told = [drive for of, drive in zip(axes, experiment.far_side.drives, strict=True) if of.bus != lost]
+        assert [(drive.torque, drive.state) for drive in told] == [(0.0, DriveState.SWITCH_ON_DISABLED)] * 2
+        experiment.clock.wait_until(experiment.clock.now() + 200_000_000)  # its own watchdog stops what hears nothing
         for drive in experiment.far_side.drives:
             assert drive.torque == 0.0
             assert drive.state is not DriveState.OPERATION_ENABLED

@@ -17,7 +17,7 @@ from canhaptic.control.multi_axis.group_certificates import (
 )
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import GuardedParameters
-from canhaptic.control.port_hamiltonian.network import Damper, DoubleWell, Mass, Network, Spring
+from canhaptic.control.port_hamiltonian.network import Damper, DoubleWell, Mass, Network, QuadraticForm, Spring
 from canhaptic.control.port_hamiltonian.sampled_network import (
     NetworkState,
     advance_network,
@@ -116,6 +116,42 @@ def random_network(rng):
     for state in range(size - 1):  # extension' = velocity in - velocity out, momentum' = force in - force out
         structure[state][state + 1], structure[state + 1][state] = -1.0, 1.0
     gain = [[1.0 if state == 0 else 0.0] for state in range(size)]
+    return Network(storages, dampers, gain=gain, structure=structure)
+
+
+def tangled_network(rng):
+    """A network in which anything acts on anything: springs on springs, walls, quadratic forms, dampers across."""
+
+    def decades(low, high):
+        return 10.0 ** rng.uniform(low, high)
+
+    def quadratic():
+        rows = [[rng.gauss(0.0, 1.0) * decades(-1, 3) for _ in range(2)] for _ in range(2)]
+        return QuadraticForm(matrix=[[sum(a * b for a, b in zip(x, y, strict=True)) for y in rows] for x in rows])
+
+    kinds = (
+        lambda: Spring(stiffness=decades(-3, 7)),
+        lambda: Spring(stiffness=decades(-3, 7), hardening=decades(0, 12)),
+        lambda: DoubleWell(hardening=decades(2, 10), well=decades(-4, -1.5)),
+        lambda: Spring(stiffness=decades(0, 6), lower=-decades(-5, -2), upper=rng.choice((None, decades(-5, -2)))),
+        lambda: Mass(mass=decades(-3, 1)),
+        quadratic,
+    )
+    storages = [rng.choice(kinds)() for _ in range(rng.randrange(2, 5))]
+    size = sum(2 if isinstance(each, QuadraticForm) else 1 for each in storages)
+    structure = [[0.0] * size for _ in range(size)]
+    for i in range(size):
+        for j in range(i):
+            structure[i][j] = rng.choice((0.0, 1.0)) * rng.gauss(0.0, 1.0)
+            structure[j][i] = -structure[i][j]
+    dampers = [
+        Damper(
+            viscous=decades(-3, 1), squared=rng.choice((0.0, 1.0)), coulomb=rng.choice((0.0, 0.0, 1.0)),
+            states={i: rng.gauss(0.0, 1.0) for i in range(size)}, ports={0: rng.choice((0.0, 1.0))},
+        )
+        for _ in range(rng.randrange(3))
+    ]  # fmt: skip
+    gain = [[rng.choice((0.0, 1.0)) * rng.gauss(0.0, 1.0)] for _ in range(size)]
     return Network(storages, dampers, gain=gain, structure=structure)
 
 
