@@ -21,7 +21,7 @@ from canhaptic.sim.plant.plant import Plant, PlantParameters
 from tests.commission.test_commissioning import commissioned, row, value
 from tests.commission.test_torque_lag import timed
 from tests.commission.whole_session import DEMO
-from tools.bench.which_hold import outcome_of
+from tools.late_twins import outcome_of
 
 TIME = 1e-3
 AHEAD = 4  # SYNCs before the first torque
@@ -202,6 +202,15 @@ def test_what_commissioning_proposes_for_a_late_drive_agrees_when_it_is_done_aga
 def test_of_random_twins_no_hold_is_wrong(seed: int) -> None:
     found = outcome_of(seed)
     assert found.hold in (None, found.true_hold)
+
+
+@pytest.mark.slow
+@pytest.mark.campaign
+@pytest.mark.timeout(14_400)
+def test_of_a_thousand_random_twins_no_hold_or_read_back_is_wrong_and_few_holds_are_unclear() -> None:
+    twins = [outcome_of(seed) for seed in range(1000)]
+    assert [of for of in twins if of.hold not in (None, of.true_hold) or of.wrong_read_back] == []
+    assert sum(of.hold is None for of in twins) <= 50
 
 
 @pytest.mark.slow

@@ -5,11 +5,10 @@ host's; it reports its torque before or after its update, or none; its encoder o
 torque of 1000 per mille is what it states (0x6076), or a part of it, as of a rated current; its watchdog is armed or
 not; damping takes up to a quarter of the speed in a hold. Each runs the steps of `canhaptic commission` for identity,
 first torque and its scale by a known mass, mass and friction, hold, and silence of the master. Wrong is what is said
-with certainty and not so; unclear, where nothing is said. `--runs N` twins from `--seed` on; what has run is kept in
-`commission_line_runs.jsonl`.
+with certainty and not so; unclear, where nothing is said. What has run is kept in
+`commission_line_runs.jsonl`. Measured by `python -m tools.bench.ethercat --only commission`.
 """
 
-import argparse
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -129,25 +128,11 @@ def _is_scale(found: StepFinding, scale: float) -> bool:
     return is_right and abs(float(found.found) - scale) <= _TOLERANCE * scale
 
 
-def rows(runs: int, first: int = 0, jobs: int = 1) -> Iterator[Row]:
+def rows(runs: int) -> Iterator[Row]:
     """Yields what so many twins came to."""
     kept = kept_folder() / _KEPT
-    twins = [Twin(*of) for of in run_kept(outcome_of, range(first, first + runs), kept, jobs).values()]
+    twins = [Twin(*of) for of in run_kept(outcome_of, range(runs), kept, 1).values()]
     wrong, unclear = [of for of in twins if of.wrong], sum(bool(of.unclear) for of in twins)
     print(*wrong, *(of for of in twins if of.unclear), sep="\n")
     yield Row("commission: twins of which something wrong is said", len(wrong), f"of {len(twins)}", target="0",
               met=not wrong, note=f"of {unclear} something is left open")  # fmt: skip
-
-
-def main() -> None:
-    """Runs and prints; `tools/bench/ethercat.py` records the rows."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=WANTED)
-    parser.add_argument("--seed", type=int, default=0, help="the first one")
-    arguments = parser.parse_args()
-    for row in rows(arguments.runs, arguments.seed):
-        print(row)
-
-
-if __name__ == "__main__":
-    main()

@@ -19,6 +19,7 @@ from tools.bench.report import DEFAULT_OUT, OUT_VARIABLE, RESULTS  # noqa: E402 
 
 NOT_QUESTIONS = {
     "__init__",
+    "commission_line",
     "demo",
     "feel_best",
     "feel_picture",

@@ -1,26 +1,20 @@
-"""Does commissioning find the hold in which a drive acts? Random twins of drives, each through the test of its torque.
+"""Random twins of drives, each through the test of commissioning that finds the hold in which its torque acts.
 
 A twin acts at once, at its SYNC, one or two SYNCs late; reports its torque before or after its update, or none; has a
 lag of 0 to 1 ms, a mass, a torque, an encoder, dry or falling friction, a shaft or none. Each runs the reversals of
 `canhaptic commission` on the virtual bus. Wrong is a hold, or a time of its report, that is not the true one; unclear,
-where nothing is said. `--runs N` twins from `--seed` on; what has run is kept in `which_hold_runs.jsonl`.
+where nothing is said.
 """
 
-import argparse
-import os
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from canhaptic.commission.mass_and_friction import time_the_torque
 from canhaptic.commission.session import CommissioningLimits, Session, StepVerdict, Unattended
 from canhaptic.scene.load import scene_from_mapping
-from tools.bench.report import Row, kept_folder, publish
 from tools.chance import Chance
-from tools.kept_runs import run_kept
 
-_SOURCE: Final = str(Path(__file__).resolve().parents[2] / "configs" / "which_hold.yaml")
-_KEPT: Final = "which_hold_runs.jsonl"
-_WANTED: Final = 1000
+_SOURCE: Final = str(Path(__file__).resolve().parents[1] / "configs" / "which_hold.yaml")
 
 
 class Twin(NamedTuple):
@@ -90,28 +84,3 @@ def outcome_of(seed: int) -> Twin:
 def _hold_in(found: str | None) -> int | None:
     """Returns the hold that a row names, counted from the declared one."""
     return None if found is None else int(found.partition(" ")[0]) - 1
-
-
-def main() -> None:
-    """Runs, prints, publishes."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=_WANTED)
-    parser.add_argument("--seed", type=int, default=0, help="the first one")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
-    arguments = parser.parse_args()
-    seeds = range(arguments.seed, arguments.seed + arguments.runs)
-    twins = [Twin(*found) for found in run_kept(outcome_of, seeds, kept_folder() / _KEPT, arguments.jobs).values()]
-    wrong = [twin for twin in twins if twin.hold not in (None, twin.true_hold) or twin.wrong_read_back]
-    unclear = sum(twin.hold is None for twin in twins) / len(twins)
-    for twin in wrong:
-        print(f"wrong: {twin}")
-    figures = [
-        Row("twins", len(twins), "1", target=">= 1000", met=len(twins) >= _WANTED),
-        Row("wrong holds or read-backs", len(wrong), "1", target="0", met=not wrong),
-        Row("holds unclear", unclear, "1", target="<= 0.05", met=unclear <= 0.05),
-    ]
-    publish("which_hold", figures, ("canhaptic", "numpy"))
-
-
-if __name__ == "__main__":
-    main()
