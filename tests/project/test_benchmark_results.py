@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 from tests.conftest import recorded_coverage
 from tools.bench import coverage, report
+from tools.bench.run import questions
 
 ROOT = Path(__file__).parents[2]
 RUN = ROOT / "tools" / "bench" / "run.py"
@@ -29,6 +31,16 @@ def test_a_benchmark_leaves_the_recorded_results_alone(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "mine" / "dictionaries.json").read_text())["rows"]
     assert recorded() == before
+
+
+def test_every_question_that_a_page_names_is_one() -> None:
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
+    named = {name for page in pages for name in re.findall(r"Q=([a-z_]+)", page.read_text(encoding="utf-8"))}
+    tables = (ROOT / "docs" / "figures.md").read_text(encoding="utf-8").split("| `make bench Q=` |")[1:]
+    rows = [row.split("|")[1] for table in tables for row in table.partition("\n\n")[0].splitlines()[2:]]
+    named |= {name for row in rows for name in re.findall(r"`([a-z_]+)`", row)}
+    assert len(named) > 20
+    assert named - set(questions()) == set()
 
 
 @pytest.mark.parametrize(
