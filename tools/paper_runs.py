@@ -17,9 +17,10 @@ from canhaptic import load_scene
 from canhaptic.control.balance import Branch, EnergyBalance
 from canhaptic.control.ledger import LedgerSummary
 from canhaptic.lab.batch.scalar import continuous_reference
-from canhaptic.lab.loop.axis_loop import environment_of, plant_parts
+from canhaptic.lab.loop.axis_loop import environment_of
 from canhaptic.lab.loop.over_can import walk_over_can
 from canhaptic.lab.reference import ContinuousReference
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import Scene
 from canhaptic.signals import Sample, Truth
 
@@ -92,8 +93,7 @@ def _surface(scene: Scene) -> float:
 def _continuous(config: str, sample_time_ns: int, cycles: int) -> ContinuousReference:
     """Returns the run of the continuous wall, which knows neither algorithm nor delay."""
     [axis] = load_scene(ROOT / "configs" / config).axes
-    plant, user, effects, _ = plant_parts(axis)
-    return continuous_reference(environment_of(axis), plant, user, effects, sample_time_ns, cycles)
+    return continuous_reference(environment_of(axis), simulation_of(axis), sample_time_ns, cycles)
 
 
 def figures_of(taken: Record) -> dict[str, Any]:

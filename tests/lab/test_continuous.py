@@ -17,6 +17,7 @@ from canhaptic.sim.plant.effects.viscous_friction import ViscousFriction
 from canhaptic.sim.plant.plant import Plant, PlantParameters
 from canhaptic.sim.plant.user import RecordedMotion, SinusoidMotion, UserParameters
 from tests.control.reference_loop import USER_S, continuous
+from tools.bench.standard_cases import simulation_of
 
 PLANT = PlantParameters(mass=0.25, damping=0.1)
 USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))
@@ -24,7 +25,7 @@ MS = 1_000_000
 
 
 def reference(environment, cycles=1500, effects=()):
-    return continuous_reference(environment, PLANT, USER, effects, MS, cycles)
+    return continuous_reference(environment, simulation_of(PLANT, USER, effects), MS, cycles)
 
 
 @pytest.mark.slow
@@ -78,7 +79,7 @@ def test_a_recorded_hand_moves_the_judge_as_it_moves_the_plant():
     motion = RecordedMotion.model_construct(type="recorded")
     motion._rows = ((0.0, 0.0), (0.05, 0.01), (0.12, -0.004), (0.2, 0.002))
     hand = UserParameters.model_construct(stiffness=200.0, damping=4.0, motion=motion)
-    found = continuous_reference(FreeSpace(), PLANT, hand, [], MS, 300)
+    found = continuous_reference(FreeSpace(), simulation_of(PLANT, hand), MS, 300)
     moved = Plant(PLANT, hand, [], MS).run(np.zeros(299))
     assert np.abs(found.position[1:] - moved).max() < 1e-8 < found.travel  # the plant's times are ticks of T / 2^24
 

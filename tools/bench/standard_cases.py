@@ -1,7 +1,7 @@
 """Users, plants and walls that benches and tests measure alike."""
 
 import random
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, cast
 
@@ -13,6 +13,7 @@ from canhaptic.lab.batch.scalar import continuous_reference
 from canhaptic.lab.loop.axis_loop import Array, LoopCase
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.registry import load
+from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.models import AxisSimulation
 from canhaptic.sim.drive import SimulatedDriveParameters
 from canhaptic.sim.plant.effects import Effect
@@ -113,7 +114,15 @@ def standard_reference(
     environment: Environment, user: UserParameters, rate: float, cycles: int, effects: tuple[Effect, ...] = ()
 ) -> ContinuousReference:
     """Returns the continuous run of `standard_case` with the standard plant."""
-    return continuous_reference(environment, PLANT, user, effects, round(1e9 / rate), cycles)
+    return continuous_reference(environment, simulation_of(PLANT, user, effects), round(1e9 / rate), cycles)
+
+
+def simulation_of(
+    plant: PlantParameters, user: UserParameters | None, effects: Sequence[Effect] = ()
+) -> AxisSimulation:
+    """Returns a plant without a drive, as a scene would give it."""
+    specs = tuple(ComponentSpec(effect.type, effect) for effect in effects)  # type: ignore[arg-type]
+    return AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), plant, user, specs)
 
 
 def loop_in_arrays(
@@ -124,5 +133,4 @@ def loop_in_arrays(
     varied: Mapping[str, Array] | None = None,
 ) -> BatchCase:
     """Returns many loops of a plant without a drive; see `many_loops`."""
-    simulation = AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), plant, user, (), 0)
-    return many_loops(replace(case, simulation=simulation), numbers, varied or {})
+    return many_loops(replace(case, simulation=simulation_of(plant, user)), numbers, varied or {})

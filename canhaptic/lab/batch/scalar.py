@@ -44,18 +44,13 @@ from canhaptic.lab.batch.plants import PlantValues, is_linear
 from canhaptic.lab.figures import figures
 from canhaptic.lab.figures.figures import CONTINUOUS, METRICS, last_rows, metrics_of, sums_of, sums_of_continuous
 from canhaptic.lab.figures.meter import Meter, compare, diverge
-from canhaptic.lab.judge.reference_model import Model
 from canhaptic.lab.loop import axis_loop
 from canhaptic.lab.loop.axis_loop import EVERYWHERE, Array, LoopCase, LoopRun, Reach, Recorder, finished
 from canhaptic.lab.reference import ContinuousReference
-from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.far_side import build_plant
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisSimulation, Scene
 from canhaptic.scene.parts import controller_of
-from canhaptic.sim.drive import SimulatedDriveParameters
-from canhaptic.sim.plant.effects import Effect
-from canhaptic.sim.plant.plant import PlantParameters
-from canhaptic.sim.plant.user import UserParameters
 
 
 def compare_with_known(known: Sequence[Sequence[float]], room: Room, meter: Meter, cycle: int) -> None:
@@ -252,8 +247,7 @@ def run_port(
     [axis] = port.axes
     case = axis_loop.loop_case(axis, scene)
     if any(name in CONTINUOUS for name in names):
-        parts = axis_loop.plant_parts(axis)[:3]
-        continuous = continuous_reference(case.environment, *parts, scene.bus.sample_time_ns, cycles)
+        continuous = continuous_reference(case.environment, simulation_of(axis), case.sample_time_ns, cycles)
     return Figured(run_case(case, cycles, names, continuous))
 
 
@@ -281,20 +275,13 @@ def loop_settings(case: LoopCase, cycles: int) -> LoopSettings:
 
 
 def continuous_reference(
-    environment: Environment,
-    plant: PlantParameters,
-    user: UserParameters | None,
-    effects: Sequence[Effect],
-    sample_time_ns: int,
-    cycles: int,
+    environment: Environment, simulation: AxisSimulation, sample_time_ns: int, cycles: int
 ) -> ContinuousReference:
     """Return the motion and force that the user would feel from the continuous environment.
 
     Args:
         environment: Environment to render without sampling.
-        plant: Moving mass.
-        user: The hand.
-        effects: Effects of the plant; effects on encoder and command are left out.
+        simulation: Plant and hand; effects on encoder and command are left out.
         sample_time_ns: T [ns], the grid of the result.
         cycles: Number of SYNCs.
 
@@ -305,11 +292,9 @@ def continuous_reference(
     readings = reference.readings_per_hold(sample_time_ns, cycles)
     step = sample_time_ns * 1e-9 / readings
     times = np.arange((cycles - 1) * readings + 1, dtype=np.float64) * step
-    specs = tuple(ComponentSpec(effect.type, effect) for effect in effects)  # type: ignore[arg-type]
-    simulation = AxisSimulation(SimulatedDriveParameters(counts_per_unit=1.0), plant, user, specs, 0)
     found, method = _in_closed_form(environment, simulation, step, len(times)), "closed form between events"
     if found is None:
-        run = reference.continuous_run(environment, Model(plant, user, effects), times.tolist(), 1e-10)
+        run = reference.continuous_run(environment, reference.textbook_model(simulation), times.tolist(), 1e-10)
         found, method = (run.position, run.velocity), "DOP853 with event location, relative tolerance 1e-10"
     position, velocity = found
     torque = reference.environment_torque(environment, position, velocity, step)

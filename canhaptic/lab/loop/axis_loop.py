@@ -30,9 +30,7 @@ from canhaptic.scene.far_side import build_plant
 from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import ALGORITHM, FAR, AxisScene, AxisSimulation, MechanismScene, Port, Scene
 from canhaptic.scene.parts import controller_of
-from canhaptic.sim.plant.effects import Effect
-from canhaptic.sim.plant.plant import Plant, PlantParameters
-from canhaptic.sim.plant.user import UserParameters
+from canhaptic.sim.plant.plant import Plant
 from canhaptic.units import Parameters
 
 Array = NDArray[np.float64]
@@ -331,17 +329,6 @@ def environment_of(axis: AxisScene) -> Environment:
             f"{axis.parameters.name}: group {axis.group!r} renders on this axis, expected an axis outside groups"
         )
     return cast(Environment, axis.environment.parameters)
-
-
-def plant_parts(axis: AxisScene) -> tuple[PlantParameters, UserParameters | None, list[Effect], int]:
-    """Return moving mass, hand, effects and seed of an axis.
-
-    Raises:
-        InputError: The axis is not simulated.
-    """
-    simulation = simulation_of(axis)
-    effects = [cast(Effect, effect.parameters) for effect in simulation.effects]
-    return simulation.plant, simulation.user, effects, simulation.seed
 
 
 def loop_case(axis: AxisScene, scene: Scene) -> LoopCase:

@@ -26,6 +26,7 @@ from canhaptic.lab.loop.axis_loop import UnderAlgorithm
 from canhaptic.lab.loop.over_can import Progress, accounts_over_can, heading_of, render_over_can
 from canhaptic.lab.reference import ContinuousReference
 from canhaptic.lab.studies import Row, flat
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import Port, Scene
 
 _BATCH: Final = 64  # cycles between two reports of progress
@@ -147,9 +148,8 @@ def _counter(progress: Progress | None) -> Callable[[], None]:
 def reference_of(scene: Scene, cycles: int) -> tuple[ContinuousReference | None, str]:
     """Return the continuous run of the only axis of a scene and its method; None and the reason if there is none."""
     (axis,), period = scene.axes, scene.bus.sample_time_ns
-    plant, user, effects, _ = axis_loop.plant_parts(axis)
     try:
-        found = continuous_reference(axis_loop.environment_of(axis), plant, user, effects, period, cycles)
+        found = continuous_reference(axis_loop.environment_of(axis), simulation_of(axis), period, cycles)
     except InputError as error:
         return None, f"none: {error}"
     return found, found.method

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from canhaptic.lab.batch.scalar import continuous_reference
-from canhaptic.lab.loop.axis_loop import environment_of, plant_parts
+from canhaptic.lab.loop.axis_loop import environment_of
 from canhaptic.lab.reference import continuous_motion
 from canhaptic.scene.load import load_scene
+from canhaptic.scene.method import simulation_of
 from tests.lab.accuracy.accuracy_scenes import FOLDER
 
 ENVIRONMENTS = {
@@ -29,8 +30,7 @@ def test_the_continuous_axis_agrees_with_the_reference_of_compare(name):
     scene = load_scene(FOLDER / "paper_wall.yaml", changes)
     axis, steps, step_ns = scene.axes[0], 400, 1_000_000
     found = continuous_motion(scene, step_ns, steps)
-    plant, user, effects, _ = plant_parts(axis)
-    other = continuous_reference(environment_of(axis), plant, user, effects, step_ns, steps + 1)
+    other = continuous_reference(environment_of(axis), simulation_of(axis), step_ns, steps + 1)
     travel = float(np.ptp(other.position))
     assert np.abs(found.position - other.position).max() < 1e-8 * travel
     mean = np.diff(found.impulse) / (step_ns * 1e-9)

@@ -12,14 +12,15 @@ from canhaptic.lab.batch.marching import march, reference_memory_of, run_batch
 from canhaptic.lab.batch.scalar import continuous_reference, render
 from canhaptic.lab.figures.figures import ALL, CONTINUOUS, METRICS, figures
 from canhaptic.lab.judge.reference_model import Model
-from canhaptic.lab.loop.axis_loop import environment_of, loop_case, plant_parts
+from canhaptic.lab.loop.axis_loop import environment_of, loop_case
 from canhaptic.lab.reference import continuous_run
 from canhaptic.registry import load
+from canhaptic.scene import method
 from canhaptic.sim.plant.plant import PlantParameters
 from canhaptic.sim.plant.user import SinusoidMotion, UserParameters
 from tests.lab.batch.loops import PLANT, in_arrays, scalar_case
 from tests.lab.batch.test_scenes import demo
-from tools.bench.standard_cases import loop_in_arrays, standard_case
+from tools.bench.standard_cases import loop_in_arrays, simulation_of, standard_case
 
 USER = UserParameters(stiffness=300.0, damping=3.0, motion=SinusoidMotion(amplitude=0.03, frequency=1.0))
 BASES: dict[str, dict[str, Any]] = {
@@ -92,7 +93,7 @@ def check(world: str, scenes: int, cycles: int, seed: int) -> int:
         hand = of_one(varied, "simulation.user.", i)
         motion = SinusoidMotion(amplitude=0.03, frequency=hand.pop("motion.frequency"))
         user, period = UserParameters(**hand, motion=motion), round(1e9 / float(varied["bus.rate"][i]))
-        machine = continuous_reference(environment, plant, user, [], period, cycles)
+        machine = continuous_reference(environment, simulation_of(plant, user), period, cycles)
         times = (np.arange(cycles) * period * 1e-9).tolist()
         solved = continuous_run(environment, Model(plant, user, []), times, 1e-10).position
         spread, least = np.abs(solved - machine.position).max(), 1e-8 * machine.travel
@@ -130,9 +131,8 @@ def test_figures_beside_the_reference_are_those_of_the_comparison(algorithm):
     """A hand that leans on the wall: the axis comes to rest, so that stiffness and limit cycle are measured too."""
     scene = demo(algorithm, "simulation.user={stiffness: 0, damping: 30, push: -5}", "environment.stiffness=500")
     axis, cycles = scene.axes[0], 2000
-    plant, user, effects, _ = plant_parts(axis)
     environment = environment_of(axis)
-    reference = continuous_reference(environment, plant, user, effects, scene.bus.sample_time_ns, cycles)
+    reference = continuous_reference(environment, method.simulation_of(axis), scene.bus.sample_time_ns, cycles)
     expected = figures(environment, render(loop_case(axis, scene), cycles), reference, scene.bus.sample_time)
     found = {name: float(v[0]) for name, v in run_batch(scene, {}, cycles, "python", list(ALL)).items()}
     for kind in ("position_error", "force_error"):

@@ -37,9 +37,11 @@ from canhaptic.control.certificates.scalar_bounds import displacement_response, 
 from canhaptic.control.environments.spring_damper_wall import SpringDamperWall
 from canhaptic.control.passivity.guarded import GuardedParameters, hand_response, kept_for_contacts
 from canhaptic.lab.batch.scalar import render
-from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Reach, loop_case, plant_parts, under
+from canhaptic.lab.loop.axis_loop import LoopCase, LoopRun, Reach, loop_case, under
 from canhaptic.lab.studies import Row
+from canhaptic.scene.far_side import effect_of
 from canhaptic.scene.hints import DRAG, LEAN
+from canhaptic.scene.method import simulation_of
 from canhaptic.scene.models import AxisScene, Scene
 from canhaptic.sim.plant.assembly import PlantModel, Rows
 from canhaptic.sim.plant.effects import Effect
@@ -312,8 +314,9 @@ def felt_of(scene: Scene, algorithm: str, hand: dict[str, float], tolerance: flo
         stiffness: Stiffness of the wall that is entered slowly [N/m or N*m/rad].
     """
     [axis] = under(scene, algorithm).permitted().axes
-    limit, (plant, _, effects, seed) = axis.parameters.torque_limit, plant_parts(axis)
-    bench = Bench(loop_case(axis, scene), plant, effects, seed)
+    limit, simulation = axis.parameters.torque_limit, simulation_of(axis)
+    plant, effects = simulation.plant, [effect_of(effect) for effect in simulation.effects]
+    bench = Bench(loop_case(axis, scene), plant, effects, simulation.seed)
     period, speed = scene.bus.sample_time, _ORDINARY[axis.parameters.unit]
     duration = min(_LONGEST, 1.0 + settling_time(plant.mass, plant.damping + hand["damping"]))
     leaning = Leaning(duration=duration, tolerance=tolerance, damping=hand["damping"], per_decade=5, fine=0.02)
