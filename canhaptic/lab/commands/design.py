@@ -13,12 +13,12 @@ from canhaptic.files import scene_title
 from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.loop.axis_loop import is_display
 from canhaptic.lab.studies import Row
+from canhaptic.lab.studies.columns import Column, table_of
 from canhaptic.lab.studies.design.search import design, mass_report, mass_snippets
 from canhaptic.lab.studies.runner import Progress
 from canhaptic.quantities import ACCOUNT
 from canhaptic.scene.method import plant_errors
 from canhaptic.view.run_lines import rests_on
-from canhaptic.view.table import Table
 from canhaptic.view.terminal import write_note
 
 
@@ -69,9 +69,8 @@ def design_report(result: Row) -> RenderableType:
         " ", (scene_title(result["scene"]), "bold"), f"   {result['walls']} walls simulated; {target}"
     )
     stiffness, damping = stiffness_unit(result["unit"]), damping_unit(result["unit"])
-    heads = f"stiffness [{stiffness}]", f"largest damping [{damping}]"
-    rows = [[f"{wall['stiffness']:g}", f"{wall['damping']:g}"] for wall in result["trade"]]
-    trade = Table("less stiffness permits more damping", heads, rows, keys=0)
+    heads = Column(f"stiffness [{stiffness}]", "stiffness", "g"), Column(f"largest damping [{damping}]", "damping", "g")
+    trade = table_of("less stiffness permits more damping", heads, result["trade"], result["unit"], 0)
     simulated = " simulated on this rig, with a reserve; `check` gives the limits for any hand within your declarations"
     notes = [Text(simulated), *_replaced(result), Text()]
     return Group(heading, *notes, Text(snippet(result)), *_price(result), trade, *_felt(result))
@@ -116,11 +115,12 @@ def _felt(result: Row) -> list[RenderableType]:
         return []
     felt, motion = result["felt"], result["unit"]
     stiffness, effort = stiffness_unit(motion), effort_unit(motion)
-    heads = (f"push [{effort}]", f"held [{stiffness}]", f"certified by hand force [{stiffness}]")
-    table = Table(
-        f"stiffest wall rendered within {100.0 * result['tolerance']:g} %, hand at rest in it", heads,
-        [[_short(wall[key]) for key in ("push", "held", "certified")] for wall in felt["walls"]], keys=0,
+    heads = (
+        Column(f"push [{effort}]", "push", ".3g"), Column(f"held [{stiffness}]", "held", ".3g"),
+        Column(f"certified by hand force [{stiffness}]", "certified", ".3g"),
     )  # fmt: skip
+    title = f"stiffest wall rendered within {100.0 * result['tolerance']:g} %, hand at rest in it"
+    table = table_of(title, heads, felt["walls"], motion, 0)
     speed, start = f"{felt['speed']:g} {motion}/s", felt["start_speed"]
     contact = "at no speed: a hand goes through it"
     if start is not None:
@@ -139,10 +139,8 @@ def _drags(rows: list[Row], motion: str) -> list[RenderableType]:
     if not rows:
         return []
     title = f"with the energy of drag before a contact, {si(rows[0]['energy'], 'J', 2)}, slower contacts are felt"
-    heads = f"drag [{effort_unit(motion)}]", f"over a distance of [{motion}]", f"felt from [{motion}/s]"
-    cells = [[_short(row[key], 2, "-") for key in ("drag", "way", "start_speed")] for row in rows]
-    return [Table(title, heads, cells, keys=0)]
-
-
-def _short(value: float | None, digits: int = 3, none: str = "") -> str:
-    return none if value is None else f"{value:.{digits}g}"
+    heads = (
+        Column(f"drag [{effort_unit(motion)}]", "drag", ".2g"), Column(f"over a distance of [{motion}]", "way", ".2g"),
+        Column(f"felt from [{motion}/s]", "start_speed", ".2g"),
+    )  # fmt: skip
+    return [table_of(title, heads, rows, motion, 0)]

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import si
 from canhaptic.cli.options import scene_of
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
@@ -24,6 +23,7 @@ from canhaptic.lab.commands.results import scene_progress, show
 from canhaptic.lab.loop.axis_loop import Array
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.chunk import COMPLETED, RADIUS, STATUS, UNRENDERED, UNTOUCHED
+from canhaptic.lab.studies.columns import Column, table_of
 from canhaptic.lab.studies.runner import Progress, dask_executor, pool_of
 from canhaptic.lab.studies.store import SweepTable
 from canhaptic.lab.studies.sweep import OPTIONS, sweep
@@ -193,21 +193,12 @@ _ALGORITHMS: Final = {"of the scene": "the scene's algorithm"}
 
 
 def _shares_table(found: Row) -> Table:
-    entries = {(axis, name): entry for axis, of in found["figures"].items() for name, entry in of.items()}
-    heads = {key: STATUS[number] for key, number in _PROVE_NOTHING.items()}
-    heads |= {key: head for key, (head, _, _) in _SHARES.items()}
-    shown = [key for key in heads if any(key in entry for entry in entries.values())]
+    heads = [Column("axis, algorithm", "of"), Column("scenes", "scenes")]
+    heads += [Column(STATUS[number], key) for key, number in _PROVE_NOTHING.items()]
+    heads += [Column(head, key, "J" if key == "least_margin" else "%") for key, (head, _, _) in _SHARES.items()]
     rows = [
-        [f"{axis}, {_ALGORITHMS.get(name, name)}", str(entry["scenes"]), *(_cell(key, entry.get(key)) for key in shown)]
-        for (axis, name), entry in entries.items()
+        {"of": f"{axis}, {_ALGORITHMS.get(name, name)}", **entry}
+        for axis, of in found["figures"].items()
+        for name, entry in of.items()
     ]
-    return Table("", ["axis, algorithm", "scenes", *(heads[key] for key in shown)], rows, keys=1)
-
-
-def _cell(key: str, value: float | None) -> str:
-    if value is None:
-        return "-"
-    if key in _PROVE_NOTHING:
-        return str(value)
-    unit = FIGURES[_SHARES[key][1]].unit
-    return si(value, unit, 3) if key == "least_margin" else f"{100.0 * value:.3g} %"
+    return table_of("", heads, rows, "m", 1)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import counted, damping_unit, effort_unit, si
+from canhaptic.axis_units import counted, effort_unit, si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.errors import InputError
 from canhaptic.files import scene_title
@@ -27,6 +27,7 @@ from canhaptic.lab.figures.figures import CONTINUOUS, METRICS
 from canhaptic.lab.loop.axis_loop import Array, LoopRun
 from canhaptic.lab.render import sheet
 from canhaptic.lab.studies import Row
+from canhaptic.lab.studies.columns import shown
 from canhaptic.lab.studies.compare import Comparison
 from canhaptic.quantities import ACCOUNT, SUMMARY, TRUTH, QuantityRow
 from canhaptic.view import picture_style as style
@@ -94,7 +95,7 @@ class _Line(NamedTuple):
 
     label: str
     key: str  # of the rows
-    show: Callable[[Any, str], str] = lambda value, _unit: str(value)  # (value, unit) -> text
+    kind: str = ""  # of the values, see `columns.shown`
     better: Callable[[float], float] | None = None  # function of the values that is smallest for the best
     is_bounded: bool = False  # whether a value below zero is a fault
 
@@ -114,9 +115,9 @@ def _cell(value: float | str | None, line: _Line, unit: str, best: float | None)
     if value is None:
         return Styled("-")
     if isinstance(value, str):
-        return Styled(line.show(value, unit), _STYLES.get(value, ""))
+        return Styled(shown(value, line.kind, unit), _STYLES.get(value, ""))
     bad = line.is_bounded and value < -PASSIVE_TOLERANCE
-    return Styled(line.show(value, unit), "red" if bad else "bold" if value == best else "")
+    return Styled(shown(value, line.kind, unit), "red" if bad else "bold" if value == best else "")
 
 
 def _best(values: list[float | str | None], better: Callable[[float], float] | None) -> float | None:
@@ -150,14 +151,6 @@ def _remarks(rows: list[Row]) -> list[Text]:
     return lines
 
 
-def _joule(value: float, _unit: str) -> str:
-    return si(value, "J", 3)
-
-
-def _share(value: float, _unit: str) -> str:
-    return f"{100.0 * value:.3g} %"
-
-
 def _premise(row: Row) -> str | None:
     """Return what the guarantee of an algorithm rests on, if it was needed."""
     if "certificate" not in row or row.get("contact") == 0.0:
@@ -169,19 +162,13 @@ def _premise(row: Row) -> str | None:
 
 def figure_line(name: str, row: QuantityRow) -> _Line:
     """Return the line of a figure."""
-    return _Line(row.title, name, _SHOWN[row.unit], _BETTER.get(row.better), row.better == "not negative")
+    return _Line(row.title, name, _KINDS.get(row.unit, row.unit), _BETTER.get(row.better), row.better == "not negative")
 
 
 _STYLES: Final = {"yes": "green", "in doubt": "yellow", "no": "red", "nothing rendered": "red"}
 _BETTER: Final[dict[str, Callable[[float], float]]] = {"less": abs, "near one": lambda value: abs(value - 1.0)}
-_SHOWN: Final[dict[str, Callable[[float, str], str]]] = {
-    "m": lambda value, unit: si(value, unit, 3) if unit == "m" else f"{1e3 * value:.3g} mrad",
-    "N": lambda value, unit: si(value, effort_unit(unit), 3),
-    "J": _joule,
-    "1": _share,
-    "N*s/m": lambda value, unit: f"{value:.3g} {damping_unit(unit)}",
-    "": lambda value, _unit: f"{value:.3g}",
-}
+_KINDS: Final = {"1": "%", "": ".3g"}
+"""Unit of a quantity -> kind of its values, where they differ."""
 _ACCOUNTED: Final = ("in", "out", "dissipated", "energy_resolution")
 _ERROR: Final = "position_error.rms"
 _PREMISE: Final = "premise"
@@ -192,10 +179,10 @@ _LINES: Final = (
     *(figure_line(name, figure.row) for name, figure in {**CONTINUOUS, **METRICS}.items() if figure.row.better),
     figure_line("interaction", TRUTH["interaction"]),
     *(figure_line(name, ACCOUNT[name]) for name in _ACCOUNTED),
-    _Line(f"{ACCOUNT['surplus'].title}, peak", "surplus.max", _joule),
+    _Line(f"{ACCOUNT['surplus'].title}, peak", "surplus.max", "J"),
     *(figure_line(name, METRICS[name].row) for name in ("damping_rendered.least", "damping_rendered.most")),
     _Line(ACCOUNT["certificates"].title, _PREMISE),
-    _Line(SUMMARY["time_of_step"].title, "microseconds_per_step", lambda value, _: f"{value:.2f} us"),
+    _Line(SUMMARY["time_of_step"].title, "microseconds_per_step", "us"),
 )
 """Lines of the table; one of which no run has the value is left out."""
 

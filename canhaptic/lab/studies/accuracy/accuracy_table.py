@@ -4,29 +4,22 @@ The advice is the cheapest setting within a tolerance; the tables show the Paret
 choices depend on errors and evaluations, which are equal in every run; times only sort the effects.
 """
 
-import math
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from canhaptic.axis_units import effort_unit, mass_unit, si
+from canhaptic.axis_units import si
 from canhaptic.control.verdict import PASSIVE_TOLERANCE
 from canhaptic.files import scene_title
 from canhaptic.lab.studies import Row
 from canhaptic.lab.studies.accuracy.plant_solvers import FLOOR, LEFT_OUT, OURS
+from canhaptic.lab.studies.columns import Column, columns_in, shown, table_of, texts_of
 from canhaptic.sim.plant.propagator import Array
-from canhaptic.view.table import Cell, Styled, Table
-
-PLANT_HEADS: Final = (
-    "method", "setting", "position", "force", "energy", "evals /\nperiod", "events", "us /\nperiod", "times\nwork", "",
-)  # fmt: skip
-EFFECT_HEADS: Final = (
-    "left out", "order", "position", "force", "energy", "evals\nsaved", "us\nsaved", "error\nper us",
-)  # fmt: skip
+from canhaptic.view.table import Table
 
 _WIDTH, _LABEL = 78, 15  # columns of a line, and of its label
 _DOT, _KEPT = "\u00b7", "\u00a0"  # the last: a space at which no line ends
@@ -36,7 +29,6 @@ LEAST_ORDER: Final = 0.5
 _NEARER: Final = 0.8
 """Fraction of the scene's present error: only changes with an error below it are named."""
 _SHOWN: Final = 4
-_WIDE_HEADS: Final = ("processor time per simulated s", "largest over least")
 _KEPT_BY: Final = "guarded"
 _IDLE: Final = "sends no torque"
 
@@ -348,30 +340,55 @@ def _most_exact(rows: Sequence[Row]) -> Row | None:
 
 def length(value: float, unit: str) -> str:
     """Return a position or length as text with its unit."""
-    return si(value, "m", 3) if unit == "m" else f"{value:.3g} rad"
+    return shown(value, "m", unit)
+
+
+_ERRORS: Final = (
+    Column("position", "position"), Column("force", "force_error", "N"), Column("energy", "energy_error", "J"),
+)  # fmt: skip
+_PLANT: Final = (
+    Column("method", "method"), Column("setting", "setting"), *_ERRORS,
+    Column("evals /\nperiod", "evaluations_per_period", ".2f"), Column("events", "events"),
+    Column("us /\nperiod", "us_per_period", ".4g"), Column("times\nwork", "ratio", ".3g"), Column("", "mark"),
+)  # fmt: skip
+_WIDE: Final = (
+    Column("processor time per simulated s", "cpu_per_second", "s"), Column("largest over least", "spread", "+%"),
+)  # fmt: skip
+_ORDERS: Final = Column("method", "method"), Column("declared", "declared"), Column("fitted", "fitted", ".2f")
+_EFFECTS: Final = (
+    Column("left out", "effect"), Column("order", "order"), *_ERRORS,
+    Column("evals\nsaved", "evaluations_saved_per_period", ".2f"), Column("us\nsaved", "us_saved_per_period", ".3g"),
+    Column("error\nper us", "error_per_microsecond", "m"),
+)  # fmt: skip
+_DRAWN: Final = (
+    Column("control\nthread", "control_thread_us", "us"), Column("bus\nload", "bus"),
+    Column("mass felt", "mass_felt", "kg"), Column("given out", "given_out", "J"),
+)  # fmt: skip
+"""Columns of the loop that the picture writes next to the errors."""
+_LOOP: Final = (
+    Column("changed", "changed"), Column("to", "to"), *_ERRORS, Column("energy\nunsure", "energy_uncertainty", "J"),
+    _DRAWN[0], Column("of T", "thread_share", "%"), *_DRAWN[1:], Column("guard acts", "guard_acts", "%"),
+    Column("us per\ncycle", "us_per_cycle", ".0f"),
+)  # fmt: skip
 
 
 def accuracy_tables(result: Row, *, wide: bool = False) -> list[Table]:
     """Return every table; `wide` adds the time per simulated second and its spread to the table of the plant."""
     unit, floor = result["unit"], _floor(result)
-    plant = [row for row in result["plant"] if "method" in row]
-    rows = [[*_plant_cells(row, unit, floor), *(_time_cells(row) if wide else ())] for row in plant]
-    orders = [[of["method"], _plain(of["declared"]), _fixed(of["fitted"], 2)] for of in result.get("orders", ())]
-    effects = [_effect_cells(row, unit) for row in effects_of(result)]
+    plant = [_plant_row(row, unit, floor) for row in result["plant"] if "method" in row]
+    orders = [{**of, "declared": _order(of["declared"])} for of in result.get("orders", ())]
+    effects = [_effect_row(of, unit) for of in effects_of(result)]
+    loop = [] if all(map(_renders_nothing, result["loop"])) else [_loop_row(row, unit) for row in result["loop"]]
+    to = "the continuous-time loop" if "advice" in result else "the ideal display"
+    mark = "; !: cycle too long" if any("bus" in row for row in loop) else ""
+    front = "bold and *: Pareto front of evaluations, the same on every machine"
     found = [
-        _table(" plant: largest error at any SYNC; bold and *: Pareto front of evaluations, the same on every machine",
-               (*PLANT_HEADS, *(_WIDE_HEADS if wide else ())), rows, [row["pareto"] for row in plant]),
-        _table(" order of the error in the step", ("method", "declared", "fitted"), orders),
-        _table(" effects: what leaving one out does", EFFECT_HEADS, effects),
-        _loop_table(result),
-    ]  # fmt: skip
+        table_of(f" plant: largest error at any SYNC; {front}", _PLANT + _WIDE * wide, plant, unit, 2, "pareto"),
+        table_of(" order of the error in the step", _ORDERS, orders, unit, 2),
+        table_of(" effects: what leaving one out does", _EFFECTS, effects, unit, 2),
+        table_of(f" loop: largest difference from {to}, one thing changed{mark}", _LOOP, loop, unit, 2, "is_scene"),
+    ]
     return [table for table in found if table.rows]
-
-
-def _table(title: str, heads: Sequence[str], rows: Sequence[list[str]], marked: Sequence[bool] = ()) -> Table:
-    styles = [*("bold" if mark else "" for mark in marked), *[""] * len(rows)]
-    cells: list[list[Cell]] = [[*(Styled(c, style) for c in row[:2]), *row[2:]] for row, style in zip(rows, styles)]  # noqa: B905 - styles may be more
-    return Table(title, heads, cells, keys=2)
 
 
 def _floor(result: Row) -> float:
@@ -379,86 +396,36 @@ def _floor(result: Row) -> float:
     return FLOOR * float(result["reference"]["travel"]) if result["reference"] else 0.0
 
 
-def _time_cells(row: Row) -> list[str]:
-    """Return processor time per simulated second, and its spread."""
-    if row.get("cpu_per_second") is None:
-        return ["", ""]
-    return [si(row["cpu_per_second"], "s", 3), f"+{100.0 * row['spread']:.0f} %"]
-
-
 def _position(row: Row, unit: str, floor: float) -> str:
     """Return the error of the position, or at most the floor [m or rad], below which all count as equal."""
     return f"<= {length(floor, unit)}" if row["position_error"] <= floor else length(row["position_error"], unit)
 
 
-def _plant_cells(row: Row, unit: str, floor: float) -> list[str]:
+def _plant_row(row: Row, unit: str, floor: float) -> Row:
+    """Return a row of the ladder as its table shows it."""
     if row["status"] != "ok":
-        return [row["method"], row["setting"], row["status"].partition(":")[0], *[""] * 7]
-    return [
-        row["method"], row["setting"], _position(row, unit, floor), *_error_cells(row, unit)[1:],
-        _fixed(row["evaluations_per_period"], 2), str(row["events"]) if row["accuracy"] else "",
-        _short(row["us_per_period"], 4), _short(row["ratio"], 3),
-        "*" if row["pareto"] else "",
-    ]  # fmt: skip
+        return {"method": row["method"], "setting": row["setting"], "position": row["status"].partition(":")[0]}
+    known = {"events": row["events"] if row["accuracy"] else None, "mark": "*" if row["pareto"] else None}
+    return {**row, **known, "position": _position(row, unit, floor)}
 
 
-def _effect_cells(row: Row, unit: str) -> list[str]:
+def _effect_row(row: Row, unit: str) -> Row:
+    """Return the row of an effect as its table shows it."""
     if row.get("position_error") is None:
-        return [row["effect"], "-", *[""] * 6]
-    worth = row["error_per_microsecond"]
-    return [
-        row["effect"], _plain(row["order"]), *_error_cells(row, unit), _fixed(row["evaluations_saved_per_period"], 2),
-        _short(row["us_saved_per_period"], 3), "" if worth is None else length(worth, unit),
-    ]  # fmt: skip
+        return {"effect": row["effect"], "order": "-"}
+    return {**row, "order": _order(row["order"]), "position": length(row["position_error"], unit)}
 
 
-class _Column(NamedTuple):
-    """A column of the table of the loop; it is shown if a row has its value."""
-
-    head: str
-    key: str
-    text: Callable[[Any, str], str]  # (value, unit of the motion) -> text
-    is_drawn: bool = False  # whether the picture writes it next to the errors
-
-
-def _joule(value: float, _unit: str) -> str:
-    return si(value, "J", 3)
-
-
-def _mass(value: float, unit: str) -> str:
-    return "-" if math.isnan(value) else si(value, mass_unit(unit), 3)
-
-
-_BUS: Final = _Column("bus\nload", "bus", lambda value, _: value, is_drawn=True)
-_COLUMNS: Final = (
-    _Column("position", "position_error", lambda value, unit: length(value, unit)),
-    _Column("force", "force_error", lambda value, unit: si(value, effort_unit(unit), 3)),
-    _Column("energy", "energy_error", _joule),
-    _Column("energy\nunsure", "energy_uncertainty", _joule),
-    _Column("control\nthread", "control_thread_us", lambda value, _: f"{value:.1f} us", is_drawn=True),
-    _Column("of T", "thread_share", lambda value, _: f"{100.0 * value:.0f} %"),
-    _BUS,
-    _Column("mass felt", "mass_felt", _mass, is_drawn=True),
-    _Column("given out", "given_out", _joule, is_drawn=True),
-    _Column("guard acts", "guard_acts", lambda value, _: f"{100.0 * value:.2g} %"),
-    _Column("us per\ncycle", "us_per_cycle", lambda value, _: f"{value:.0f}"),
-)
-
-
-def _loop_table(result: Row) -> Table:
-    """Return one row for each change of the loop; none if no change rendered anything."""
-    rows = [] if all(map(_renders_nothing, result["loop"])) else result["loop"]
-    shown = _columns(rows)
-    cells = [[*change(row), *(_loop_cell(row, column, result["unit"]) for column in shown)] for row in rows]
-    to = "the continuous-time loop" if "advice" in result else "the ideal display"
-    mark = "; !: cycle too long" if _BUS in shown else ""
-    title = f" loop: largest difference from {to}, one thing changed{mark}"
-    heads = ("changed", "to", *(column.head for column in shown))
-    return _table(title, heads, cells, [row["is_scene"] for row in rows])
-
-
-def _columns(rows: Sequence[Row]) -> list[_Column]:
-    return [column for column in _COLUMNS if any(_value(row, column) is not None for row in rows)]
+def _loop_row(row: Row, unit: str) -> Row:
+    """Return a row of the loop as table and picture show it."""
+    what, to = change(row)
+    found = {**row, "changed": what, "to": to}
+    if "bus_load" in row:
+        found["bus"] = f"{bus_load(row, '')}{'' if row['bus_fits'] else ' !'}"
+    if _renders_nothing(row):
+        return {**found, "position": _IDLE, "force_error": None, "energy_error": None}
+    error = row.get("position_error")
+    return {**found, "position": str(row["status"]).partition(":")[0] if error is None else length(error, unit)}
 
 
 def change(row: Row) -> tuple[str, str]:
@@ -467,44 +434,15 @@ def change(row: Row) -> tuple[str, str]:
     return row["group"], f"{row['setting']} (ended: {row['status'][:40]})" if is_short else row["setting"]
 
 
-def _value(row: Row, column: _Column) -> Any:
-    if column.key == "bus":
-        return f"{bus_load(row, '')}{'' if row['bus_fits'] else ' !'}" if "bus_load" in row else None
-    is_idle = column.key.endswith("_error") and _renders_nothing(row)
-    return None if is_idle else row.get(column.key)
-
-
-def _loop_cell(row: Row, column: _Column, unit: str) -> str:
-    value = _value(row, column)
-    if value is not None:
-        return column.text(value, unit)
-    if column is not _COLUMNS[0]:
-        return ""
-    return _IDLE if _renders_nothing(row) else str(row["status"]).partition(":")[0]
-
-
 def beside_errors(rows: Sequence[Row], unit: str) -> tuple[str, list[str]]:
     """Return what a picture writes next to the errors of the loop: its heading, and the text of each row."""
-    drawn = [column for column in _columns(rows) if column.is_drawn]
-    texts = [[_loop_cell(row, column, unit) for column in drawn] for row in rows]
-    return ", ".join(column.head.replace("\n", " ") for column in drawn), [", ".join(filter(None, of)) for of in texts]
+    known = [_loop_row(row, unit) for row in rows]
+    drawn = columns_in(_DRAWN, known)
+    texts = [", ".join(filter(None, texts_of(drawn, row, unit))) for row in known]
+    return ", ".join(column.head.replace("\n", " ") for column in drawn), texts
 
 
-def _error_cells(row: Row, unit: str) -> list[str]:
-    """Return the errors of position, force and energy."""
-    force = si(row["force_error"], effort_unit(unit), 3)
-    return [length(row["position_error"], unit), force, si(row["energy_error"], "J", 3)]
-
-
-def _fixed(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:.{digits}f}"
-
-
-def _short(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:.{digits}g}"
-
-
-def _plain(value: int | None) -> str:
+def _order(value: int | None) -> str:
     return "exact" if value is None else str(value)
 
 
