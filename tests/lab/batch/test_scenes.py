@@ -1,4 +1,4 @@
-"""Batches of scene files: keys, refusals, and the same figures as one scene at a time and as the comparison prints."""
+"""Batches of scene files: keys, refusals, and the same figures as one scene at a time."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +10,10 @@ from canhaptic.control.passivity import ALGORITHMS
 from canhaptic.errors import CanHapticError, ParameterError
 from canhaptic.lab.batch.cases import NotBatchableError, why_not_batchable
 from canhaptic.lab.batch.marching import Loops, decay_per_hold, run_batch, spectral_radius
-from canhaptic.lab.batch.scalar import render, run_scalar
+from canhaptic.lab.batch.scalar import run_scalar
 from canhaptic.lab.batch.varied import scene_with
-from canhaptic.lab.figures.figures import ALL, CONTINUOUS, METRICS, figures
-from canhaptic.lab.loop.axis_loop import environment_of, loop_case, with_algorithm
+from canhaptic.lab.figures.figures import ALL, CONTINUOUS, METRICS
+from canhaptic.lab.loop.axis_loop import with_algorithm
 from canhaptic.scene.components import ComponentSpec
 from canhaptic.scene.load import load_scene
 from canhaptic.scene.models import Scene
@@ -61,32 +61,6 @@ def test_a_batch_gives_the_figures_of_one_scene_at_a_time(algorithm):
         for name in names:
             least = 1e-10 if name in CONTINUOUS else 1e-12
             assert found[name][i] == pytest.approx(one[name], rel=1e-6, abs=least, nan_ok=True), (i, name)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("algorithm", ["unprotected", "guarded", "internal_dissipation"])
-def test_the_figures_are_those_of_the_comparison(algorithm):
-    scene = demo(algorithm)
-    case = loop_case(scene.axes[0], scene)
-    run = render(case, CYCLES)
-    of_comparison = figures(environment_of(scene.axes[0]), run, None, 1e-3)
-    found = {name: float(values[0]) for name, values in run_batch(scene, {}, CYCLES, engine="python").items()}
-    assert found["least_interaction"] == pytest.approx(of_comparison["least_interaction"], rel=1e-6, abs=1e-12)
-    assert found["interaction"] == pytest.approx(of_comparison["interaction"], rel=1e-6)
-    assert found["margin"] == pytest.approx(of_comparison["margin"], rel=1e-6, abs=1e-12)
-    assert found["accounted_margin"] == pytest.approx(of_comparison["accounted_margin"], rel=1e-6, abs=1e-12)
-    assert found["accounted_error"] == pytest.approx(of_comparison["accounted_error"], rel=1e-6)
-    assert found["surplus.end"] == pytest.approx(of_comparison["surplus.end"], rel=1e-6, abs=1e-12)
-    assert found["force_ripple"] == pytest.approx(of_comparison["force_ripple"], rel=1e-6)
-    for part in ("mean", "least", "most"):
-        expected = of_comparison[f"damping_rendered.{part}"]
-        assert found[f"damping_rendered.{part}"] == pytest.approx(expected, rel=1e-6)
-    for part in ("value", "share"):
-        expected = of_comparison[f"stiffness_rendered.{part}"]
-        assert found[f"stiffness_rendered.{part}"] == pytest.approx(expected, rel=1e-6)
-    assert found["torque_peak"] == pytest.approx(float(np.abs(run.torque).max()), rel=1e-6)
-    assert found["travel"] == pytest.approx(float(np.ptp(run.true_position)), rel=1e-6)
-    assert found["contact"] == pytest.approx(float(np.isfinite(run.damping).mean()))
 
 
 @pytest.mark.slow
