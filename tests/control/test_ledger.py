@@ -70,13 +70,6 @@ def test_what_is_given_to_a_far_side_counts_at_rest_and_while_the_hand_brings_in
     assert "supplied" not in Ledger().summary().as_json(1e-3)
 
 
-def test_energy_drawn_before_any_was_put_in_is_seen():
-    ledger = Ledger()
-    ledger.add(hold(-0.25), 0)
-    ledger.add(hold(1.0), 1)
-    assert ledger.summary().least_interaction == -0.25
-
-
 def test_the_weakest_certificate_and_the_range_of_damping_in_contact_are_kept():
     ledger = Ledger()
     ledger.add(hold(torque=1.0, damping_rendered=3.0, certificate=Certificate.DEVICE_DAMPING.value), 0)

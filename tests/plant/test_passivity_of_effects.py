@@ -61,8 +61,8 @@ SETS: list[tuple[str, ...]] = [*((name,) for name in EFFECTS), *PAIRS]
 
 
 def parameters(sets: list[tuple[str, ...]]) -> list[Any]:
-    """Sets of effects, most of the pairs marked as slow."""
-    return [pytest.param(s, marks=[pytest.mark.slow] if s in PAIRS and PAIRS.index(s) % 10 else []) for s in sets]
+    """Sets of effects, the pairs marked as slow."""
+    return [pytest.param(s, marks=[pytest.mark.slow] if s in PAIRS else []) for s in sets]
 
 
 def test_every_effect_has_a_variant_here():

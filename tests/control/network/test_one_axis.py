@@ -12,11 +12,8 @@ from canhaptic.control.mechanisms.kinematics import Identity
 from canhaptic.control.multi_axis import build_group_controller
 from canhaptic.control.passivity import LoopProperties
 from canhaptic.control.passivity.guarded import Guarded, GuardedParameters
-from canhaptic.control.passivity.internal_dissipation import InternalDissipation, StoredModelParameters
 from canhaptic.control.passivity.unprotected import Unprotected
-from canhaptic.control.port_hamiltonian.sampled_network import settle_network
 from canhaptic.control.port_hamiltonian.shapes.plane import Plane
-from canhaptic.lab.rivals.scaled_group import ScaledGroupParameters
 from tests.adversary.late_axis import climb
 from tests.control.network.networks import group
 
@@ -31,15 +28,13 @@ def pair(stiffness, damping):
     )
 
 
-def positions(one, cycles, delay, start=0.003, clip=math.inf, after=None):
+def positions(one, cycles, delay, start=0.003, clip=math.inf):
     """Runs the controller of one axis against a trembling user; yields what a second controller is to see."""
     rng, quarter = random.Random(3), 0.25e-3
     q, v, t, held, pending = start, 0.0, 0.0, 0.0, [0.0] * delay
     for _ in range(cycles):
         balance = one.step(q, held)
         yield q, held, balance
-        if after is not None:
-            after(q)
         pending.append(max(-clip, min(clip, balance.torque)))
         held = pending.pop(0)
         for _ in range(4):
@@ -101,50 +96,6 @@ def test_an_unprotected_group_is_unprotected_on_one_axis_and_books_what_sampling
             assert together.torques[0] == pytest.approx(alone.torque, rel=1e-9, abs=1e-12)
     assert strongest > 1.0
     assert created > 5e-4  # [J]: what the sampled wall makes of nothing
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("delay", [0, 1])
-@pytest.mark.parametrize("alpha", ["0", "100 s/m^2"])
-@pytest.mark.parametrize(
-    ("stiffness", "damping", "start"), [(800.0, 4.0, 0.003), (1e4, 50.0, 0.003), (100.0, 10.0, -0.005)]
-)
-def test_every_hold_of_step_scaling_is_that_of_internal_dissipation(delay, alpha, stiffness, damping, start):
-    """Hold by hold from the same state: near its double root the paper's equation amplifies rounding 1e8 times."""
-    wall, plane = pair(stiffness, damping)
-    loop = LoopProperties(sample_time=1e-3, delay=delay)
-    one = InternalDissipation(wall, StoredModelParameters(alpha=alpha), loop)
-    group = build_group_controller(
-        plane, Identity(axes=1), "step_scaling", ScaledGroupParameters(alpha=alpha), [loop]
-    )  # fmt: skip
-    worst, strongest, richest, branches = 0.0, 0.0, 0.0, set()
-
-    def align(_q):
-        storage, axis, commands = one._state.storage, one._state.axis, one._memory.axis.commands
-        world, (_settings, state, memory) = group._step.args  # type: ignore[attr-defined]
-        network = memory.group.motion.network
-        network.state[0] = storage.state
-        settle_network(world, state.group.motion.network, network)
-        state.h_s, state.pace, state.h_dis = storage.h_s, storage.velocity, axis.h_dis
-        sent = memory.group.commands
-        for index in range(delay + 1):
-            place, own = axis.oldest + index - delay - 1, state.group.oldest + index - delay - 1
-            sent.torques[own][0], sent.dampers[own][0] = commands.torques[place], commands.dampers[place]
-            sent.modulated[own][0], sent.ports[own][0] = commands.modulated[place], 0.0
-            sent.power[own] = commands.dampers[place] * commands.dampers[place] / damping * 1e-3
-
-    for q, held, alone in positions(one, 1600, delay, start=start, after=align):
-        together = group.step([q], [held])
-        branches.add(alone.branch)
-        strongest, richest = max(strongest, abs(alone.torque)), max(richest, alone.h_s)
-        # a root next to the double one moves by the square root of rounding, and the damper divides by T
-        slack = 1e-6 if alone.branch in {2, 3} else 1e-9
-        worst = max(worst, abs(together.torques[0] - alone.torque) / (slack * max(1.0, strongest)))
-        for name in ENERGIES:
-            error = abs(getattr(together.account, name) - getattr(alone, name))
-            worst = max(worst, error / (slack * max(richest, 1e-9)))
-    assert len(branches) >= 4
-    assert worst <= 1.0
 
 
 class _OneOfGroup:
