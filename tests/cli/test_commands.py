@@ -238,7 +238,7 @@ def test_a_drive_on_its_own_is_run_by_a_master_elsewhere() -> None:
             with build(master) as experiment:
                 run(experiment.cycle, cycles=30)
                 assert experiment.pace == "real"
-                assert experiment.cycle.cycles == 30
+                assert experiment.cycle.cycles - experiment.cycle.holds_of_stop == 30
         finally:
             stop.numbers.append(2)
             thread.join(5.0)
@@ -258,7 +258,7 @@ def test_drives_on_two_buses_are_run_by_a_master_elsewhere() -> None:
         try:
             with build(master) as experiment:
                 run(experiment.cycle, cycles=20)
-                assert experiment.cycle.cycles == 20
+                assert experiment.cycle.cycles - experiment.cycle.holds_of_stop == 20
                 assert experiment.rig.link_statistics()["success_rate"] > 0.0
         finally:
             stop.numbers.append(2)
