@@ -247,7 +247,7 @@ def test_a_drive_on_its_own_is_run_by_a_master_elsewhere() -> None:
 
 @pytest.mark.slow
 def test_drives_on_two_buses_are_run_by_a_master_elsewhere() -> None:
-    overrides = ["bus.left.channel=left-side", "bus.right.channel=right-side"]
+    overrides = ["bus.left.channel=left-side", "bus.right.channel=right-side", "environment.position=-1"]  # no contact
     overrides += ["bus.left.rate=50", "bus.left.stop_cycles=500", "bus.left.heartbeat_timeout=10 s"]  # busy machines
     far, master = load_scene(TWO_BUSES, overrides), load_scene(TWO_BUSES, [*overrides, "simulation=null"])
     stop = drive_command.StopSignal()  # type: ignore[attr-defined]
