@@ -72,9 +72,10 @@ def run_example(rate, delay, duration=0.4, hand_force=0.0):
 @pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize(
-    ("rate", "rms", "margin"), [(100, 6e-3, -5e-3), (200, 5e-4, -5e-3), (500, 1e-4, -5e-4), (1000, 5e-5, -5e-4)]
+    ("rate", "rms", "margin"), [(100, 6e-3, -1e-2), (200, 5e-4, -5e-3), (500, 1e-4, -5e-4), (1000, 5e-5, -5e-4)]
 )
 def test_the_virtual_mass_follows_the_continuous_one_at_every_rate(delay, rate, rms, margin):
+    """The margin is that of a hand that pulls although 0 N are declared; see the next test."""
     error, least_margin, least, identity = run_example(rate, delay)
     assert error <= rms
     assert least_margin >= margin
