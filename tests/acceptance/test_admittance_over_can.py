@@ -441,8 +441,8 @@ def test_an_arm_of_two_displays_renders_a_mass_in_the_plane(capsys: pytest.Captu
     reach = [0.3 * math.cos(a) + 0.3 * math.cos(a + b) for a, b in places]
     assert max(reach) < 0.602  # the wall at x = 0.6 m, in task space
     assert main(["compare", str(scene), "--duration", "0.2", "--json"]) == 0
-    compared = json.loads(capsys.readouterr().out)["axes"]["handle"]
-    assert set(compared) == set(DISPLAY_ALGORITHMS)
+    compared = {row["algorithm"] for row in json.loads(capsys.readouterr().out)["rows"]}
+    assert compared == set(DISPLAY_ALGORITHMS)
 
 
 def test_check_prints_what_a_user_wants_before_the_first_touch(capsys: pytest.CaptureFixture[str]) -> None:
