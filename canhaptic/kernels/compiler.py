@@ -235,8 +235,8 @@ METHODS: Final = (
 
 _PROCESS: Final = token_hex(8)
 """A part of the name of every function that this process compiles. numba names a record type by a number that counts
-from 0 in each process, so that code from two processes may have one name for two types, and the first that is loaded
-would be taken for both."""
+from 0 in each process, and a function too, so that code from two processes may have one name for two types or two
+methods, and the first that is loaded would be taken for both."""
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
@@ -384,6 +384,7 @@ def _make(kind: Callable[..., object], values: Iterable[object]) -> object:
     return kind(*values)
 
 
+_make.__qualname__ = f"make_{_PROCESS}"
 _made: Final = _njit(_make, **_INNER, forceinline=True)
 
 
@@ -394,6 +395,7 @@ def _overload(name: str) -> None:
         def call(self: Numba, *args: object) -> object:
             return function(self, *args)
 
+        call.__qualname__ = f"{name}_{_PROCESS}"
         return call
 
     overload: Numba = overload_method

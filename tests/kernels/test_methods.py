@@ -1,10 +1,11 @@
 """A compiled kernel calls the methods of the NamedTuples that it gets; compiling it takes half a second."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
 from canhaptic.errors import InputError
+from canhaptic.kernels import new
 
 
 class Spring(NamedTuple):
@@ -15,16 +16,21 @@ class Spring(NamedTuple):
 
 
 def pull(spring: Spring, state: float) -> float:
-    return spring.effort(state) + 1.0
+    return new(Spring, (spring.effort(state) + 1.0,)).stiffness
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)  # half a second of compiling, longer on a busy machine
 def test_a_compiled_kernel_calls_the_method_of_a_named_tuple() -> None:
     pytest.importorskip("numba", reason="needs numba (the extra fast)")
-    from canhaptic.kernels.compiler import compiled
+    from canhaptic.kernels.compiler import _PROCESS, compiled
 
-    assert compiled(pull)(Spring(2.0), 3.0) == pull(Spring(2.0), 3.0) == 7.0
+    run: Any = compiled(pull)
+    assert run(Spring(2.0), 3.0) == pull(Spring(2.0), 3.0) == 7.0
+    [made] = run.overloads.values()
+    reached = [one.name for one in made.library._linking_libraries if one.name != "nrt"]  # which is numba's own
+    assert len(reached) == 3
+    assert all(name.endswith(_PROCESS) for name in reached)  # else kept code could call another method of this name
 
 
 class Touch(NamedTuple):
