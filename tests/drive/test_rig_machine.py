@@ -294,7 +294,10 @@ class RigUnderStress(RuleBasedStateMachine):
             elif kind == "foreign":
                 message.arbitration_id = 0x3AB
             else:
-                message.is_remote_frame, message.is_extended_id = kind == "remote", kind == "extended"
+                message = can.Message(
+                    timestamp=message.timestamp, arbitration_id=message.arbitration_id, data=message.data,
+                    is_extended_id=kind == "extended", is_remote_frame=kind == "remote",
+                )  # fmt: skip
             return message
 
         self.tamper = tamper
