@@ -376,6 +376,8 @@ LEAST_JITTER: Final = 0.01
 """Jitter of SYNCs that is declared at least [sample times]: a calm run is no proof of a calm machine."""
 SURE: Final = 2.0
 """Standard deviations beyond which a value counts as impossible."""
+_SAFE_LAG: Final = 3.0
+"""Standard deviations above a measured lag that are declared: with coarse encoders 2 left one lag in 200 above."""
 _KEPT: Final = 0.9
 """Least fraction of the wall stiffness that must remain if the safe ends of a measurement are declared."""
 
@@ -515,8 +517,8 @@ def _may_be_told(times: HoldTimes, longer: float) -> bool:
 
 
 def _at_most(late: tuple[float, float]) -> float:
-    """Lag to declare, from a measured one and its standard deviation [s]."""
-    return _OVER * (max(0.0, late[0]) + SURE * late[1])
+    """Lag to declare, from a measured one and its standard deviation [s]: a lag above it makes a certificate false."""
+    return _OVER * (max(0.0, late[0]) + _SAFE_LAG * late[1])
 
 
 def _at_least(session: Session, axis: int, late: tuple[float, float]) -> float | None:

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from canhaptic.commission import mass_and_friction
 from canhaptic.commission.mass_and_friction import (
-    SURE,
     estimate,
     estimate_lateness,
     is_dear,
@@ -91,7 +90,7 @@ def test_a_hold_of_three_sample_times_costs_its_windows_and_not_the_lag() -> Non
 )
 def test_what_would_be_declared_bounds_the_lag(lag: float, damping: float, friction: str, count: float, offset: float):
     late, error = measured(lag if lag > 1e-6 else 0.0, damping, friction, count, offset)
-    assert lag <= mass_and_friction._OVER * (max(0.0, late) + SURE * error) + 1e-6
+    assert lag <= mass_and_friction._at_most((late, error)) + 1e-6
 
 
 def timed(*overrides: str) -> tuple[Session, Answers]:
@@ -137,7 +136,7 @@ def test_a_test_that_leaves_too_much_open_is_repeated_longer(monkeypatch: pytest
     assert len(lengths) == 3
     assert lengths[0] * 1.8 < lengths[1] < lengths[2] / 1.8
     assert len([line for line in said.said if "costs too much of the wall" in line or "which hold" in line]) == 2
-    assert value(session.report, "passivity.current_lag") == pytest.approx(1.1 * 120e-6)
+    assert value(session.report, "passivity.current_lag") == pytest.approx(1.1 * 180e-6)
     assert "energy_allowance" not in str(session.report.values)
 
 
@@ -148,9 +147,9 @@ def test_a_lag_that_ends_the_wall_is_declared_with_the_allowance_that_keeps_it(m
     session, _ = timed()
     lag, allowance = (float(value(session.report, f"passivity.{key}")) for key in ("current_lag", "energy_allowance"))
     axis = session.scene.axes[0]
-    assert lag == pytest.approx(1.1e-3)
+    assert lag == pytest.approx(1.65e-3)
     assert share_of_wall(axis, 0.5, {"current_lag": lag, "energy_allowance": allowance}) > 0.9
-    assert allowance < 1e-3
+    assert allowance < 3e-3
 
 
 @pytest.mark.slow

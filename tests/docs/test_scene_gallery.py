@@ -32,6 +32,7 @@ def test_every_picture_is_there_and_small_and_none_is_left_over() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.campaign_but("demo", "two_handles", "accuracy", "map")
 @pytest.mark.parametrize("entry", GALLERY, ids=lambda entry: Path(entry.picture).stem)
 def test_every_command_of_the_gallery_makes_its_picture(entry: Entry, tmp_path: Path) -> None:
     prepare(tmp_path)

@@ -46,6 +46,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return programs
 
 
+@pytest.mark.campaign
 def test_two_builds_of_one_commit_are_the_same_bytes(installed: Path, tmp_path: Path) -> None:
     """In two folders, whose files were written at different times."""
     run(installed / "python", "-m", "pip", "install", "--quiet", "setuptools>=70", folder=tmp_path)
