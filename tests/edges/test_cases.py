@@ -37,8 +37,8 @@ def test_a_case_ends_for_its_reason_with_zero_torque_first_or_goes_on(name: str,
         words = [(port["passive"], port["plant_passive"]) for port in seen.result["ports"].values()]
         assert ("yes", "no") not in words
     else:
-        assert seen.syncs_to_zero is not None
-        assert 0 <= seen.syncs_to_zero - case.syncs <= case.own  # an answer of own code may be under way
+        under_way = {2} if case.own else set()  # an answer that own code gave before it ended
+        assert seen.syncs_to_zero in {case.syncs, *under_way}
 
 
 def test_every_way_out_has_a_case() -> None:
