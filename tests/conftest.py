@@ -28,8 +28,9 @@ providers._get_local_constants = lambda: providers._local_constants
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell: no Ctrl-C would reach a test
     signal.signal(signal.SIGINT, signal.default_int_handler)
-if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # by nohup, likewise
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+for _name in ("SIGHUP", "SIGQUIT"):  # by nohup and in the background, likewise
+    if hasattr(signal, _name) and signal.getsignal(getattr(signal, _name)) is signal.SIG_IGN:
+        signal.signal(getattr(signal, _name), signal.SIG_DFL)
 os.environ.pop("COLUMNS", None)  # that of the terminal in which the tests run says nothing about tables in pipes
 gc.set_threshold(50_000, 10, 100)  # a test is short: its garbage need not be searched for as often as in a server
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # in each of the hundreds of processes: no thread a core for nothing

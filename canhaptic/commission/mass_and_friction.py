@@ -377,7 +377,7 @@ LEAST_JITTER: Final = 0.01
 SURE: Final = 2.0
 """Standard deviations beyond which a value counts as impossible."""
 _SAFE_LAG: Final = 3.0
-"""Standard deviations above a measured lag that are declared: with coarse encoders 2 left one lag in 200 above."""
+"""Standard deviations around a measured lag that are declared: with coarse encoders 2 left one lag in 200 above."""
 _KEPT: Final = 0.9
 """Least fraction of the wall stiffness that must remain if the safe ends of a measurement are declared."""
 
@@ -524,7 +524,7 @@ def _at_most(late: tuple[float, float]) -> float:
 def _at_least(session: Session, axis: int, late: tuple[float, float]) -> float | None:
     """Lower end of the lag to declare [s]; None: 0. The window may take up its largest value of the lateness."""
     window = session.axes[axis].loop.torque_window or 0.0
-    return max(0.0, (late[0] - SURE * late[1]) / _OVER - window) or None
+    return max(0.0, (late[0] - _SAFE_LAG * late[1]) / _OVER - window) or None
 
 
 def _earliest(session: Session, axis: int) -> float | None:
