@@ -105,7 +105,7 @@ def both(scene, varied, cycles=CYCLES):
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-@pytest.mark.campaign_but("Stribeck and stop", "cogging, ripple, lag")
+@pytest.mark.campaign_but("Stribeck and stop")
 @pytest.mark.parametrize("plant", PLANTS)
 def test_numba_gives_the_bits_of_python_for_every_plant(plant):
     pytest.importorskip("numba")

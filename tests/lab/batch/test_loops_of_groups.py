@@ -145,7 +145,7 @@ def test_a_number_that_is_not_finite_ends_the_loop() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.campaign_for("*-30")
+@pytest.mark.campaign_but("two_handles-4")
 @pytest.mark.parametrize("scenes", [4, 30])
 @pytest.mark.parametrize("name", ["xy_box", "two_handles"])
 def test_compiled_it_has_the_same_bits(name: str, scenes: int) -> None:
@@ -158,6 +158,7 @@ def test_compiled_it_has_the_same_bits(name: str, scenes: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
+@pytest.mark.campaign_but("stage with friction", "five-bar")
 @pytest.mark.parametrize("kind", [kind for kind in WITH_EVENTS if kind != "friction in x"])
 def test_compiled_motors_with_events_have_the_same_bits(kind: str) -> None:
     pytest.importorskip("numba")
