@@ -4,6 +4,7 @@ Each module below has a specification that takes the module as an argument. The 
 mutant of it must not.
 """
 
+import importlib
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
@@ -26,6 +27,7 @@ from tests.mutation import (
     specification_of_state_machine,
 )
 from tests.mutation.mutator import load, mutants
+from tools import mutant_server
 from tools.mutants import EQUIVALENT, ROOT
 
 
@@ -177,3 +179,36 @@ def test_no_mutant_is_made_of_a_comparison_whose_two_ways_meet(tmp_path: Path, t
     found = [mutant.name.partition(" => ")[2] for mutant in mutants(path, {})]
     assert any(f" {edge} " in name for name in found) is not is_same
     assert any((" < " if order[0] == ">" else " > ") in name.replace("=", " ") for name in found)
+
+
+MODULE = """
+STEP = 1
+def count(x):
+    return x + STEP
+class Counter:
+    @property
+    def one(self):
+        return count(0)
+    @staticmethod
+    def two():
+        return count(1)
+"""
+
+
+def test_a_mutant_of_a_function_takes_effect_where_it_was_imported_to_and_others_are_left_to_an_import(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "swapped_module.py").write_text(MODULE)
+    monkeypatch.syspath_prepend(tmp_path)
+    module = importlib.import_module("swapped_module")
+    count, counter = module.count, module.Counter()
+    for scope, old, new, figures in [
+        ("count", "x + STEP", "x - STEP", (4, -1, 0)),
+        ("Counter.one", "count(0)", "count(7)", (4, 6, 0)),
+        ("Counter.two", "count(1)", "count(9)", (4, 6, 8)),
+    ]:
+        assert mutant_server.swap("swapped_module.py", scope, MODULE.replace(old, new))
+        assert (count(5), counter.one, counter.two()) == figures
+    for scope in ("module", "Counter", "absent"):
+        assert not mutant_server.swap("swapped_module.py", scope, MODULE.replace("STEP = 1", "STEP = 2"))
+    assert module.STEP == 1
