@@ -68,7 +68,7 @@ def fresh_writer(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_pycollect_makeitem(collector: pytest.Module | pytest.Class, obj: object) -> list[pytest.Item] | None:
     """Makes no items of a slow function for `-m "not slow"`: two workers made 4000 each, to leave them out."""
-    is_slow = any(mark.name in ("slow", "campaign") for mark in getattr(obj, "pytestmark", ()))
+    is_slow = any(mark.name in _TIERS for mark in getattr(obj, "pytestmark", ()))
     return [] if is_slow and collector.config.option.markexpr == "not slow" else None
 
 
@@ -93,13 +93,12 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         for call in metafunc._calls
     ]
     if metafunc.config.option.markexpr == "not slow":
-        fast = [call for call in metafunc._calls if not any(mark.name in ("slow", "campaign") for mark in call.marks)]
+        fast = [call for call in metafunc._calls if not any(mark.name in _TIERS for mark in call.marks)]
         metafunc._calls = fast or metafunc._calls[:1]  # of no cell at all pytest would make a test without parameters
 
 
-_OF_CELLS = {
-    f"{tier}_{which}": getattr(pytest.mark, tier).mark for tier in ("slow", "campaign") for which in ("for", "but")
-}
+_TIERS = ("slow", "campaign")
+_OF_CELLS = {f"{tier}_{which}": getattr(pytest.mark, tier).mark for tier in _TIERS for which in ("for", "but")}
 """Marker with patterns of cells -> the mark that these cells get."""
 
 

@@ -241,6 +241,11 @@ methods, and the first that is loaded would be taken for both."""
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
+def _name_for_process(function: Callable[..., object], name: str) -> None:
+    """Give a function that is compiled a name that no other process gives."""
+    function.__qualname__ = f"{name}_{_PROCESS}"
+
+
 _njit: Final[Callable[..., Numba]] = numba.njit
 
 fixed_tuple: Final = cast(Callable[[object, int], tuple[float, ...]], to_fixed_tuple)
@@ -329,7 +334,7 @@ class _Compiling(Binding):
         function = cast(FunctionType, function)
         self.sources.append(_text_of(function.__code__) + repr(function.__defaults__))
         made = super().rebound(function)
-        made.__qualname__ = f"{function.__name__}_{_PROCESS}"
+        _name_for_process(made, function.__name__)
         return made
 
     def constant(self, name: str, value: object) -> object:
@@ -384,7 +389,7 @@ def _make(kind: Callable[..., object], values: Iterable[object]) -> object:
     return kind(*values)
 
 
-_make.__qualname__ = f"make_{_PROCESS}"
+_name_for_process(_make, "make")
 _made: Final = _njit(_make, **_INNER, forceinline=True)
 
 
@@ -395,7 +400,7 @@ def _overload(name: str) -> None:
         def call(self: Numba, *args: object) -> object:
             return function(self, *args)
 
-        call.__qualname__ = f"{name}_{_PROCESS}"
+        _name_for_process(call, name)
         return call
 
     overload: Numba = overload_method

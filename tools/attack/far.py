@@ -135,7 +135,7 @@ def force(rig: Rig, x: float, v: float, torque: float, t: float) -> float:
 
 
 def acceleration(rig: Rig, x: float, v: float, torque: float, t: float) -> float:
-    """Returns that of the plant [m/s^2]."""
+    """Returns the acceleration of the mass [m/s^2]."""
     return (torque + force(rig, x, v, torque, t) - rig.damping * v - rig.friction * math.tanh(v / 4e-3)) / rig.mass
 
 

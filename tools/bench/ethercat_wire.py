@@ -1,6 +1,6 @@
 """What does a foreign master on a wire cost, and does a run by it end as long as it should?
 
-pysoem drives the simulated drives over a veth pair: needs root and pysoem. The rows join those of the question
+pysoem drives the simulated drives over a veth pair: needs root and pysoem. Its rows are added to those of the question
 `ethercat`. Starts, watchdog, Wireshark, KickCAT, captures and ESIs of vendors are in `tests/wire` and `tests/drive`.
 Times are compared side by side in one run: they are those of a shared computer. `--quick` does a tenth of the cycles,
 and `--only` some kinds of rows; the others stay as they were recorded.

@@ -50,7 +50,7 @@ from canhaptic.sim.plant.propagator import TICKS, Array
 
 @dataclass(slots=True)
 class Explained:
-    """Running sums of a loop. Those of spring and damper give the share of each that its torques render."""
+    """Running sums of a loop, and those that give the shares of spring and damper in its torques."""
 
     figures: Meter = field(default_factory=Meter)
     spring_spring: float = 0.0  # products of the requested efforts, over holds that began and ended in contact

@@ -249,7 +249,7 @@ def _of_ports(scene: Scene, names: Sequence[str], cycles: int, engine: Engine, p
 
 
 def _of_port(port: Port, row: Row, truth: Row) -> Row:
-    """Return the row of a port: its account, and in place of the energies of that name those of the plant."""
+    """Return the row of a port: its account, and the energies of the plant in place of booked ones of that name."""
     booked = {"account.least_interaction": row["least_interaction"]} if "least_interaction" in row else {}
     whole = {"port": port.name, "environment": port.rendered.name, "unit": port.axes[0].parameters.unit,
              **({"axes": [axis.parameters.name for axis in port.axes]} if port.section else {}),

@@ -54,7 +54,7 @@ def many(scenes: int) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_batch_gives_the_figures_of_one_scene_at_a_time(algorithm):
     scene, varied = demo(algorithm), many(5)
-    names = [*(ALL if algorithm in ("guarded", "unprotected") else METRICS)]  # those of the continuous run as well
+    names = [*(ALL if algorithm in ("guarded", "unprotected") else METRICS)]  # with the figures of the continuous run
     found = run_batch(scene, varied, CYCLES, "python", names)
     for i in range(5):
         one = run_scalar(scene_with(scene, {key: float(values[i]) for key, values in varied.items()}), CYCLES, names)
